@@ -1,7 +1,7 @@
 """The application ``acoustube``: its commands, and how an error becomes one line and an exit code.
 
-A command is loaded when it is called or when help is printed, and imports its solvers when its
-options have been accepted, so that ``--help`` and every error of usage come at once.
+A command is loaded when it is called or when help is printed, and imports its solvers only after
+its options have been accepted, so that ``--help`` and every error of usage appear at once.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ COMMANDS = (
 )  # fmt: skip
 """Modules of this package that hold a command of their name."""
 SETTLED = ("simulate", "indent", "sweep")
-"""Commands that take settings, also ones without an option."""
+"""Commands that take settings, including settings without an option of their own."""
 
 app = App(
     name="acoustube",
@@ -70,7 +70,7 @@ def main(tokens: Sequence[str] | None = None) -> int:
                 )
                 sys.stdout.flush()
             except Exception:
-                check()  # whether a library took an interrupt for an error of its own
+                check()  # a library may have turned an interrupt into its own error
                 raise
             check()
     except CycloptsError as error:
@@ -159,7 +159,7 @@ def _kept() -> str:
 
 
 def _about_file(error: OSError) -> str:
-    """Return an error of the system with the file that it is about, where that is known."""
+    """Return a system error with the file that it concerns, where that is known."""
     if error.errno in FULL:
         return f"{error.filename or 'standard output'}: {FULL[error.errno]}; make room"
     return str(error) if error.filename is None else f"{error.filename}: {error.strerror}"

@@ -31,7 +31,7 @@ SETTINGS = {
     "frequency": "frequency_khz", "temperature": "temperature_c", "resolution": "resolution",
     "source_end": "source_end", "losses": "losses", "method": "method",
 }  # fmt: skip
-"""Settings by the names of the options that give them."""
+"""Settings by the names of their options."""
 PICTURES = (".png", ".pdf", ".svg")
 
 
@@ -121,7 +121,8 @@ class Limits(Checked):
     Attributes
     ----------
     limits : float
-        Factor applied to the limits on the size of files that are read, and on counts in them.
+        Factor by which the limits on the sizes of input files, and on counts in them, are
+        multiplied.
     """
 
     limits: Annotated[float | None, Number(1e-3, 1e6, "", "factor")] = None
@@ -211,7 +212,8 @@ class Ranging(Checked):
     calibration : str
         Calibration to use: a file that ``calibrate`` or ``twin`` wrote, or a name.
     prominence : float
-        Least prominence of an echo, as a fraction of the send pulse, in place of the calibration's.
+        Least prominence of a detected echo, as a fraction of the send pulse, in place of the
+        calibration's.
     """
 
     calibration: str | None = None
@@ -226,13 +228,13 @@ class Recording(Checked):
     Attributes
     ----------
     rate : float
-        Sampling rate in Hz, in place of the files' own.
+        Sampling rate in Hz, in place of that in the files.
     temperature : float
-        Air temperature in degC, in place of the files' own.
+        Air temperature in degC, in place of that in the files.
     channel : int
         Channel to read, from 0.
     samples : int
-        Samples per cycle, where a file is one long record.
+        Samples per cycle, for files that are one long record of many cycles.
     """
 
     rate: Annotated[float | None, Number(1e3, 1e7, "Hz", "samples per second")] = None
@@ -249,8 +251,8 @@ class Lead:
     Attributes
     ----------
     pulse_at : float or "auto"
-        Time in ms from the first sample to the start of the send pulse; auto finds one that all
-        cycles share; by default time zero of the recording.
+        Time in ms from the first sample to the start of the send pulse; auto estimates it, the same
+        for all cycles; by default the pulse starts at time zero of the recording.
     """
 
     pulse_at: Literal["auto"] | float | None = None

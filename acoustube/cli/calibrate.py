@@ -39,7 +39,7 @@ def calibrate(
     figure: Path | None = None,
     output: Output = Output(),
 ) -> None:
-    """Calibrate a sensor from cycles with the tube closed at known places, and without contact.
+    """Calibrate a sensor from cycles with the tube closed at known positions, and without contact.
 
     Parameters
     ----------
@@ -52,9 +52,10 @@ def calibrate(
     name : str
         Name of the calibration, in place of a file: ``process --calibration NAME`` finds it.
     sigmas : float
-        Least prominence of an echo, in standard deviations of the untouched cycles.
+        Least prominence of a detected echo, in standard deviations of the untouched cycles.
     sensor : Path
-        TOML file of the rangefinder, for its carrier, and the chirp that is compressed.
+        TOML file of the rangefinder, which states its carrier and, for a chirp, the pulse to
+        compress.
     figure : Path
         Picture of the fits to write (PNG, PDF or SVG), which must be new.
     """

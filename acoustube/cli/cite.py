@@ -34,7 +34,7 @@ def cite(
     Parameters
     ----------
     result : Path
-        Result whose methods alone are listed: a folder of simulate, indent, sweep, dataset or
+        Result to cite for, in place of all methods: a folder of simulate, indent, sweep, dataset or
         sleeve, or a file of scatter or train.
     bibtex : bool
         BibTeX entries instead of text.

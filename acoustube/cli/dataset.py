@@ -23,11 +23,11 @@ class Counts(Checked):
     Attributes
     ----------
     cycles : int
-        Cycles to record per case and session.
+        Cycles to simulate per case, specimen and session.
     tubes : int
-        Specimens per tube, each with irregularities of its own.
+        Specimens per tube, each with its own irregularities.
     sessions : int
-        Sessions per specimen, each with drift and temperature errors of its own.
+        Sessions per specimen, each with its own drift and temperature error.
     seed : int
         Random seed; the cycles do not depend on the number of workers.
     """
@@ -48,17 +48,17 @@ def dataset(
     processes: Workers = Workers(),
     output: Output = Output(),
 ) -> None:
-    """Record labelled cycles of a rangefinder for each case of a sweep, for training.
+    """Simulate labelled cycles of a rangefinder for each case of a sweep, for training.
 
     Parameters
     ----------
     sweep : Path
         Folders that ``acoustube sweep`` wrote.
     rangefinder : list
-        TOML file with the parameters of the rangefinder, or of a twin, whose clutter the first tube
-        has; that of the sleeve paper, at the case's carrier, if not given. Several twins' files,
-        of sessions of one sensor: each session is drawn about their means, with the deviations
-        between them.
+        TOML file with the parameters of the rangefinder, or of a twin, whose measured clutter the
+        first specimen has; by default the sleeve paper's rangefinder at the carrier of each case.
+        With files of several twins, fitted to sessions of one sensor, the parameters of each
+        session are random, with the mean and the spread of the twins.
     out : Path
         Folder to write, or to resume.
     """

@@ -26,7 +26,7 @@ class Effort(Checked):
     seed : int
         Random seed of the first tubes.
     robust : bool
-        Also compute how errors change with bore, hardness and temperature.
+        Robustness computed too: how errors change with bore, hardness and temperature.
     """
 
     tubes: Annotated[int, WHOLE, Number(1, 2000, "", "tubes", whole=True)] = 40
@@ -44,15 +44,15 @@ def design(
 ) -> None:
     """Search for tube, transducer and pulse of a sensor that meets a goal.
 
-    Presses and sound of each tube are kept in the cache: the same command again goes on where it
-    was interrupted.
+    Presses and sound of each tube are kept in the cache. To resume an interrupted search, repeat
+    the command.
 
     Parameters
     ----------
     goal : Path
         TOML file with the requirements ([goal]) and the design variables ([variables]).
     out : Path
-        Folder to write, new or empty: the front, recommended sensors, and a page of both.
+        Folder to write, new or empty: the Pareto front, recommended sensors, and a page of both.
     """
     from acoustube.runs.config.goal import read_goal
 

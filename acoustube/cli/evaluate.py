@@ -44,7 +44,7 @@ class Inverted(Checked):
     untouched : Path
         Recordings of the tube without contact, as for `invert`.
     group : int
-        Cycles with equal labels that are inverted together.
+        Cycles with equal labels that are inverted together, at most.
     """
 
     sensor: Path | None = None
@@ -65,11 +65,11 @@ def evaluate(
     Parameters
     ----------
     model : Path
-        File that ``train`` wrote, or a folder that ``library`` wrote, for the inversion.
+        File that ``train`` wrote; or folder that ``library`` wrote, to evaluate the inversion.
     data : Path
-        Files with cycles and labels, or folders of these; not those of the training.
+        Files with cycles and labels, or folders of these; not those used for training.
     out : Path
-        Table of errors to write (CSV), by depth and by distance too, which must be new.
+        Table of errors to write (CSV), in total, by depth and by distance, which must be new.
     figure : Path
         Picture of estimates and errors to write (PNG, PDF or SVG), which must be new.
     """

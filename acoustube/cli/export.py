@@ -40,7 +40,7 @@ def export(
     out: Path,
     output: Output = Output(),
 ) -> None:
-    """Write results in the files that other programs read.
+    """Write results as files for other programs.
 
     Parameters
     ----------
@@ -48,10 +48,10 @@ def export(
         Folder that ``simulate``, ``indent``, ``sweep`` or ``dataset`` wrote, or file that
         ``scatter`` wrote.
     kind : str
-        Format. Of datasets wav (with a Parquet table; the default), csv (labels) or lerobot
-        (episodes for robot learning); of simulate and indent stl (the lumen, at each
-        depth; the default), vtp (the same), vtu (the mesh at each depth) or csv; of sweeps csv (the
-        default), stl or vtp; of scatter csv.
+        Format. For datasets: wav (default, with a Parquet table), csv (labels) or lerobot
+        (episodes for robot learning). For simulate and indent: stl (default, the lumen at each
+        depth), vtp (the same), vtu (the mesh at each depth) or csv. For sweeps: csv (default), stl
+        or vtp. For scatter: csv.
     out : Path
         Folder to write, which must be new or empty.
     """

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 TABLE_ROWS = 16
-"""Depths of a press that are printed."""
+"""Largest number of depths of a press that are printed."""
 
 
 @Parameter(name="*")

@@ -32,7 +32,7 @@ class Search(Checked):
     Attributes
     ----------
     group : int
-        Cycles that are evaluated together; the tube must be at rest meanwhile.
+        Cycles that are inverted together; the contacts must not change during them.
     most : int
         Largest number of contacts.
     """
@@ -49,8 +49,8 @@ class FarEnd(Checked):
     Attributes
     ----------
     far : Path
-        Recordings of the same cycles from a second rangefinder, like the first, at the far end: one
-        for each of the files, in their order.
+        Recordings of the same cycles by a second rangefinder, equal to the first, at the far end:
+        one for each of the files, in the same order.
     far_untouched : Path
         Recordings of the tube without contact from the far end.
     """
@@ -59,7 +59,7 @@ class FarEnd(Checked):
     far_untouched: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None
 
     def __post_init__(self) -> None:
-        """Check that there is something to go with the untouched tube."""
+        """Check that untouched cycles of the far end come with recordings from there."""
         super().__post_init__()
         if self.far_untouched and not self.far:
             raise ConfigError("--far-untouched goes with --far; name the recordings from there")
@@ -90,27 +90,27 @@ def invert(
     detection_limits: Path | None = None,
     output: Output = Output(),
 ) -> int:
-    """Find the contacts in recordings: number, distance, depth, force and tool, with uncertainty.
+    """Estimate contacts in recordings: number, distance, depth, force and tool, with uncertainties.
 
     Parameters
     ----------
     files : Path
-        Recordings in the formats of `process`, in ADC counts; the first sample starts the drive.
+        Recordings in the formats of `process`, in ADC counts; the drive starts at the first sample.
     library : Path
         Folder that the command library wrote.
     sensor : Path
         TOML file with the parameters of the rangefinder, the tube's length_cm, a table [priors],
-        and a table [wrap] if it is worn on a forearm; that of the sleeve paper if not given.
+        and a table [wrap] if it is worn on a forearm; by default the sleeve paper's sensor.
     untouched : Path
-        Recordings of the tube without contact, from which its clutter is learned.
+        Recordings of the tube without contact, from which its clutter is estimated.
     out : Path
-        Table to write (CSV), one row a contact; standard output if not given.
+        Table to write (CSV), one row per contact; standard output if not given.
     figure : Path
         Picture to write (PNG, PDF or SVG): posterior and limit of detection along the tube, from
-        the near end, of the first group with a contact, or of the first.
+        the near end, of the first group with a contact, else of the first group.
     detection_limits : Path
-        Table to write (CSV), for each group and tool: the limits of detection along the tube, depth
-        and force from which on a further contact would have been found; inf if not at the deepest.
+        Table to write (CSV) of the limits of detection along the tube for each group and tool: the
+        least depth and force at which a further contact would be detected; inf if at no depth.
     """
     _check(files, out, figure, detection_limits)
     far_end.check_pairs(files)
@@ -151,9 +151,7 @@ def invert(
             wanted.keep()
             writer.writerows([*header, *table])
             header.clear()
-            inversion.note_misfit(path, misfits, count, report)
-            if near.length(data) is None:
-                inversion.note_length(str(path), report)
+            inversion.note_doubts(path, misfits, count, near.length(data), report)
             n_groups, n_contacts = n_groups + count, n_contacts + len(table)
         if failures and not n_groups:
             raise ConfigError("no file could be inverted, and nothing was written; see above")
@@ -165,7 +163,7 @@ def invert(
 
 @dataclass
 class _Files:
-    """The picture and the table of limits of detection, as far as they are wanted."""
+    """The picture and the table of limits of detection, as far as they are requested."""
 
     library: Library
     figure: Path | None
@@ -176,7 +174,7 @@ class _Files:
     candidate: Inversion | None = None
 
     def add(self, path: Path, group: int, found: EndsContacts) -> None:
-        """Add what a group of cycles contributes, if its file is kept."""
+        """Add the results of a group of cycles, pending until its file is complete."""
         from acoustube.runs.two_ends import limit_rows
 
         if self.limits is not None:
@@ -184,13 +182,13 @@ class _Files:
         self.candidate = _preferred(self.candidate, found.near)
 
     def keep(self) -> None:
-        """Keep what the groups of a file have contributed."""
+        """Keep the pending results of the groups of a file."""
         self.rows += self.pending
         self.shown = _preferred(self.shown, self.candidate)
         self.drop()
 
     def drop(self) -> None:
-        """Forget what a file has contributed."""
+        """Discard the pending results of a file."""
         self.pending, self.candidate = [], None
 
     def contents(self) -> dict[Path, bytes | str]:

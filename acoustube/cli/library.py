@@ -39,8 +39,8 @@ class Accuracy(Checked):
     Attributes
     ----------
     tolerance : float
-        Largest relative error of the reflection interpolated between depths, for which depths are
-        added.
+        Largest relative error of the reflection interpolated between depths; depths are added until
+        it is met.
     band : tuple
         Lowest and highest frequency in kHz, for chirps and other wide pulses; 0.8 and 1.2 times
         --frequency if not given.
@@ -76,11 +76,11 @@ def library(
     processes: Workers = Workers(),
     output: Output = Output(),
 ) -> int:
-    """Compute the scattering of presses over depth, from which invert finds presses in recordings.
+    """Compute a library for invert: the scattering of presses as a function of depth.
 
-    The depths are a range first:last:step; shapes between them are interpolated, and their
-    scattering is computed as densely as it varies. Other settings may have several values, each
-    combination of which is a tool. What a folder has is not computed again.
+    The depths are a range first:last:step. Shapes between them are interpolated, and scattering is
+    computed at more depths where it varies more. Other settings may have several values; each
+    combination is a tool. Tools that the folder contains are not computed again.
 
     Parameters
     ----------

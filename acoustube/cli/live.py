@@ -44,7 +44,7 @@ class Line(Checked):
     rate : float
         Sampling rate in Hz.
     frame_bytes : int
-        Bytes of a frame, the two of the pulse width included.
+        Bytes of a frame, including the two of the pulse width.
     baud : int
         Bit rate of the line in bit/s.
     """
@@ -73,11 +73,12 @@ class Inverted(Checked):
         TOML file with the parameters of the board's rangefinder, the tube's length_cm and a table
         [priors].
     rest : float
-        Time in s at the start in which the tube is untouched, and its clutter learned; 0 for none.
+        Time in s at the start during which the tube is untouched and its clutter is estimated; 0
+        for none.
     most : int
         Largest number of contacts.
     contacts : Path
-        Table of contacts to write (CSV), which must be new; one row a contact and cycle.
+        Table of contacts to write (CSV), which must be new; one row per contact and cycle.
     """
 
     library: Path | None = None
@@ -99,7 +100,7 @@ def live(
 ) -> None:
     """Estimate the distance of a press in each cycle that an EchoTube board sends, as it arrives.
 
-    Ends after the duration, when the connection ends, or at an interrupt.
+    The command ends after the duration, when the connection ends, or at an interrupt (Ctrl-C).
 
     Parameters
     ----------
@@ -108,7 +109,7 @@ def live(
     out : Path
         Table to write (CSV), which must be new; each row is written as its cycle arrives.
     duration : float
-        Duration in s; by default until the connection ends or an interrupt.
+        Duration in s; by default no limit.
     """
     if duration is not None:
         Number(0, 1e9, "s", "duration of the stream").check("duration", duration)
@@ -123,7 +124,7 @@ def live(
 
 
 def _contacts(inverted: Inverted) -> Contacts | None:
-    """Return how contacts are found, if a library is given."""
+    """Return the settings of the search for contacts; None without a library."""
     given = dataclasses.asdict(inverted)
     folder, table = given["library"], given["contacts"]
     if folder is None:

@@ -46,9 +46,9 @@ def process(
     files : Path
         NPZ, NPY, CSV, TSV, WAV, FLAC, MAT, HDF5 or netCDF files, or folders of these.
     sensor : Path
-        TOML file of a rangefinder or a twin: the error of its thermometer is subtracted; a
-        rangefinder gives its carrier, and the chirp that is compressed; a twin gain, send time and
-        prominence, unless --calibration is given.
+        TOML file of a rangefinder or a twin, whose thermometer error is subtracted. A rangefinder
+        also states its carrier and, for a chirp, the pulse to compress; a twin gives gain, send
+        time and prominence, unless --calibration is given.
     out : Path
         Table to write (CSV), which must be new; standard output if not given.
     figure : Path

@@ -42,7 +42,7 @@ def reproduce(
 ) -> None:
     """Repeat published studies: a page and a table of published and simulated numbers for each.
 
-    Beside them stand those of waveform inversion, from the same simulated recordings.
+    Numbers from waveform inversion of the same simulated recordings are listed beside them.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def _performed(name: str, folder: Path, scale: Scale, report: Reporter) -> Study
 
 
 def _prepared(out: Path, scale: Scale) -> Path:
-    """Return the folder of the report, which holds nothing else."""
+    """Return the folder of the report, which contains nothing else."""
     folder, mark = out.expanduser().resolve(), {"quick": scale.quick, "version": __version__}
     if (folder / MARK).is_file():
         if _begun_with(folder / MARK) != mark:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from acoustube.waves.spectral import SpectralScattering
 
 HIGHEST_KHZ = 1000.0
-"""Frequency above which Hz are suspected."""
+"""Frequency in kHz above which a band is taken to be stated in Hz."""
 
 
 @Parameter(name="*")
@@ -127,12 +127,12 @@ def scatter(
         Air space as a closed surface in mm along z (STL, PLY, OBJ, VTP), with two straight ends of
         the same section.
     resolution : int
-        Grid cells across the ends.
+        Grid cells across the ends, for the method march.
     method : {"march", "spectral"}
-        Time-domain march on a grid, or the spectral solver, which takes seconds and estimates its
-        error; a lumen outside its range is marched.
+        Solver: march, FDTD on a grid in the time domain; or spectral, which takes seconds and
+        estimates its error. A lumen outside the range of spectral is computed by march.
     tolerance : float
-        Largest error of a coefficient that the spectral solver aims at.
+        Largest error of a scattering coefficient that the method spectral aims at.
     out : Path
         File to write (netCDF), which must be new.
     """
@@ -214,7 +214,7 @@ def _spectral(
 def _marched(
     task: _Task, air: Air, surface: Any, start: float, progress: Callable[[float], None]
 ) -> tuple[Scattering, list[str]]:
-    """Return the scattering matrix by the time-domain march, and the notes on it."""
+    """Return the scattering matrix by the time-domain solver, and the notes on it."""
     from acoustube.runs.scattering_file import keep, recall
     from acoustube.runs.surface_scattering import cells_of_surface
     from acoustube.waves.scattering import Scattering
@@ -235,7 +235,7 @@ def _marched(
 
 
 def _name(surface: Any, start: float, task: _Task) -> str:
-    """Return the name of the scattering matrix in the cache."""
+    """Return the cache key of the scattering matrix."""
     shape = sha256(surface.vertices.tobytes() + surface.faces.tobytes()).hexdigest()
     return cache.key(
         "scattering",
@@ -264,7 +264,7 @@ def _cut_on_notes(found: ModalScattering) -> list[str]:
 
 
 def _notes(cells: CutCells, found: Scattering, air: Air) -> list[str]:
-    """Return a sentence for each assumption of the model that the march violates."""
+    """Return a sentence for each assumption of the time-domain model that the lumen violates."""
     import numpy as np
 
     from acoustube.air import NARROW_GAP_LAYERS, viscous_thickness

@@ -102,9 +102,9 @@ class Sensing(Checked):
     reach : float
         Farthest distance from the sensor at which a press is detected, in cm.
     distance : list
-        Contacts to mark, in cm from the sensor; 2:80 is on the second tube.
+        Contacts to mark, in cm from the sensor; 2:80 is at 80 cm on the second tube.
     deviation : float
-        Standard deviation of a distance, in cm.
+        Standard deviation of an estimated distance, in cm.
     within : float
         Half width in mm of the strip of skin that a tube covers.
     step : float
@@ -129,7 +129,7 @@ def sleeve(
     out: Path | None = None,
     output: Output = Output(),
 ) -> None:
-    """Lay out a sleeve: the place on the arm of each distance along the wound tubes.
+    """Lay out a sleeve: the position on the arm of each distance along the wound tubes.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The command ``acoustube sweep``: presses of many tubes, places, tools and depths."""
+"""The command ``acoustube sweep``: presses of many tubes, positions, tools and depths."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 LOOKED_UP = 20_000
 """Largest number of cases that a dry run checks one by one."""
 SAMPLED = 2000
-"""Number of cases that are checked of a larger plan."""
+"""Number of cases of a larger plan that are checked."""
 Values = list[str] | None
 
 
@@ -87,13 +87,14 @@ class Execution:
     out : Path
         Folder to write, or to resume.
     shard : str
-        One of several equal parts of the plan, as 3/40, for job arrays; all write to one folder.
+        Part of the plan to compute, such as 3/40, the third of 40 equal parts, for job arrays; all
+        write to one folder.
     dask : str
         Address of the scheduler of a running Dask cluster, in place of processes.
     retry : str
-        Which cases to compute again: failed ones.
+        Cases to compute again: failed ones.
     dry_run : bool
-        Cases, cached results and expected costs only; nothing is computed.
+        Report alone, of cases, cached results and expected costs; nothing is computed.
     """
 
     out: Path | None = None
@@ -130,10 +131,10 @@ def sweep(
     processes: Workers = Workers(),
     output: Output = Output(),
 ) -> int:
-    """Simulate many presses and tubes; results that a folder has are not computed again.
+    """Simulate many presses and tubes; results in the folder are not computed again.
 
-    Each setting takes one or more values, or ranges first:last:step with both ends; all their
-    combinations are computed, or a random choice. A depth of 0 is the untouched tube.
+    Each setting takes one or more values, or ranges first:last:step that include both ends. All
+    combinations are computed, or random ones. A depth of 0 is the untouched tube.
     """
     plan, share, out = choice.with_axes(axes), execution.share(), execution.out
     if out is None and not execution.dry_run:

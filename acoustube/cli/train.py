@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from acoustube.estimation import FeatureSettings, Model
 
 OVERFITTED = 0.02
-"""Rise of the validation loss over its lowest from which fewer epochs are advised."""
+"""Relative rise of the validation loss above its minimum from which fewer epochs are advised."""
 EARLY_EPOCHS = ("1", "2", "5")
 """Leading digit of the epochs after which losses are printed: 1, 2, 5, 10, 20 and so on."""
 
@@ -36,8 +36,9 @@ class Training(Checked):
     Attributes
     ----------
     by : str
-        Groups held out together, to weight the folds and to state uncertainties: single cycles, as
-        in the sleeve paper, sessions (files, where cycles have none), or tubes.
+        Groups that are held out together in the cross-validation, which weights the folds and gives
+        the uncertainties: single cycles, as in the sleeve paper, sessions (files, where cycles have
+        none), or tubes.
     epochs : int
         Training epochs (default 100, for ``echo`` 25); number of trees for ``boosting`` (150).
     folds : int
@@ -72,8 +73,8 @@ def train(
         Files with cycles and the labels ``true_distance``, ``depth`` and ``force``, as far as
         known, or folders of these.
     estimator : str
-        Kind: the force network of the sleeve paper; networks that estimate distance, depth and
-        force from the whole echo; or gradient boosting of the same.
+        Kind: network, the force network of the sleeve paper; echo, networks that estimate distance,
+        depth and force from the whole echo; or boosting, gradient boosting for the same quantities.
     out : Path
         Model to write, which must be new.
     """

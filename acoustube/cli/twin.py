@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from acoustube.runs.twin import FittedSensor
 
 POOR_FIT = 0.95
-"""Fraction of the echoes' energy that the model explains, below which a note doubts the fit."""
+"""Fraction of the echoes' energy explained by the model below which a note reports a poor fit."""
 
 
 @Parameter(name="*")
@@ -35,10 +35,10 @@ class Known(Checked):
     length : float
         Length of the tube in cm.
     bits : int
-        Resolution of the converter; by default the least that holds the recorded counts.
+        Resolution of the converter in bits; by default the least that holds the recorded counts.
     humidity : float
-        Relative humidity of the air in per cent: temperatures are then those of moist air; by
-        default those at which dry air has the speed of sound.
+        Relative humidity of the air in per cent, with which temperatures are those of moist air; by
+        default they are those at which dry air has the measured speed of sound.
     """
 
     length: Annotated[float | None, Number(1, 1000, "cm", "length of the tube")] = None
@@ -145,7 +145,7 @@ def twin(
 
 
 def _print_closures(found: FittedSensor, report: Reporter) -> None:
-    """Report the closures that were left out, and how well the others are explained."""
+    """Report the closures that were left out, and the quality of the fit to the others."""
     for i, reason in found.twin.left_out.items():
         group = found.closed[i]
         report.note(

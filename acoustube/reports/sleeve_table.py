@@ -1,4 +1,4 @@
-"""Layout of a sleeve as sentences and as a table from distance to place."""
+"""Layout of a sleeve as sentences, and as a table of the position of each distance."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COLUMNS = (
 
 
 def fit_in_words(path: Path, axis: str, markers: Markers, arm: Arm) -> list[str]:
-    """Return the markers and the fitted arm in words, one sentence each.
+    """Return descriptions of the markers and the fitted arm, one sentence each.
 
     Parameters
     ----------
@@ -91,14 +91,14 @@ def in_words(tubes: Sequence[Helix], found: Layout) -> list[str]:
 
 
 def contact_in_words(tubes: Sequence[Helix], found: Layout, contact: tuple[int, float]) -> str:
-    """Return the place of a contact in words.
+    """Return the position of a contact as a sentence.
 
     Parameters
     ----------
     tubes : sequence of Helix
     found : Layout
     contact : tuple of int and float
-        Tube, from 0, and distance in m.
+        Tube, counted from 0, and distance in m.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def contact_in_words(tubes: Sequence[Helix], found: Layout, contact: tuple[int, 
 
 
 def write_table(path: Path, tubes: Sequence[Helix], found: Layout, step: float) -> None:
-    """Write the table from distance to place.
+    """Write the table of the position on the arm of each distance.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def write_table(path: Path, tubes: Sequence[Helix], found: Layout, step: float) 
     tubes : sequence of Helix
     found : Layout
     step : float
-        Between two distances in m; the last row of a tube is its end.
+        Spacing of the distances in m; the last row of a tube is its end.
     """
     text = io.StringIO()
     table = csv.writer(text)

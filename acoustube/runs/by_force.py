@@ -1,9 +1,9 @@
-"""Presses at given forces, between the rows of a load path that was solved by depth.
+"""Presses at given contact forces, interpolated on a load path that was solved by depth.
 
-A press is solved by depth, since a wall that snaps through has several states at one force; as long
+A press is solved by depth, since a wall that snaps through has several states at one force. As long
 as the force rises along the path, each force belongs to one depth. On soft ground part of the
-indentation depth is the settlement of the ground; the sound depends on the closure of the lumen,
-which is therefore given too.
+indentation depth is the settlement of the ground. The sound depends on the closure of the lumen,
+which is therefore returned too.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ FORCE_DROP_TOLERANCE = 1e-3
 """Fall of the force between increments, relative to its maximum, that counts as solver error."""
 
 LARGEST_SPACING = 1 / 12
-"""Largest distance of the depths that are interpolated between, in bore diameters."""
+"""Largest spacing of the depths of a load path that is interpolated, in bore diameters."""
 BISECTIONS = 50
-"""Of the interval between two rows, to the round-off of a depth."""
+"""Number of bisections of the interval between two rows, down to the round-off of a depth."""
 
 
 @dataclass(frozen=True, eq=False)
 class ByForce:
-    """Presses at given forces; all arrays have the forces' shape.
+    """Presses at given contact forces; all arrays have the shape of the forces.
 
     Attributes
     ----------
     force : array
-        In N.
+        Contact force in N.
     depth : array
         Indentation depth from first contact in m.
     closing : array
@@ -43,10 +43,10 @@ class ByForce:
     sinking : array
         Settlement of the ground under the tube's bottom line at the press, in m.
     lumen_area : array
-        At the press, in m2.
+        Cross-section of the lumen at the press, in m2.
     force_error : array
-        Estimated error of the force at that depth in N: a press solved there bears the force
-        asked for within about twice this.
+        Estimated error of the force at that depth in N. The force of a press solved at that depth
+        differs from the requested one by up to about twice this error.
     """
 
     force: Array
@@ -58,20 +58,20 @@ class ByForce:
 
 
 def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
-    """Find the presses of a load path with given contact forces.
+    """Return the presses of a load path that have given contact forces.
 
     Parameters
     ----------
     indentation : Indentation
-        A path from first contact; see :func:`acoustube.indentation.indent`.
+        Load path from first contact; see :func:`acoustube.indentation.indent`.
     force : array_like
-        Total over all indenters, in N.
+        Total contact force of all indenters, in N.
 
     Raises
     ------
     ConfigError
-        If a force is negative, or more than at the path's end, or depths are too far apart or too
-        few.
+        If a force is negative or exceeds that at the end of the path, or if the depths of the path
+        are too far apart or too few.
     SimulationError
         If the force falls along the path, so that the depth is not unique.
 
@@ -125,7 +125,7 @@ def _depths(spline: DepthPath, force: Array) -> Array:
 
 
 def _measured(spline: DepthPath, depth: Array) -> tuple[Array, Array, Array]:
-    """Return loss of lumen height, settlement and lumen area at rising depths."""
+    """Return closure in m, settlement in m and lumen area in m2 at rising depths in m."""
     mesh, wall = spline.indentation.mesh, inner_wall(spline.indentation.mesh)
     middle = np.array([spline.indentation.indenters[0].z])
     undeformed = measure(spline.indentation, 0, middle, wall)

@@ -6,21 +6,21 @@ from acoustube.base.units import MM
 from acoustube.runs.config import grid_cells
 from acoustube.runs.config.si import SIPress, SISettings
 
-# Measured with benchmarks/fdtd_throughput.py and the default run on two quiet cores; they serve
-# the estimate in the first line only.
+# Measured with benchmarks/fdtd_throughput.py and the default run on two quiet cores; used only for
+# the estimate that a command prints first.
 FIXED_SECONDS, FIXED_GIGABYTES = 20.0, 0.6
 STEPS_PER_LAYER = 3.9  # time steps per axial layer, for both source ends; half of them are silent
-SCATTERING_STEPS = 8 * 8000.0  # of eight runs of 12 ms, per cell in a mm
+SCATTERING_STEPS = 8 * 8000.0  # time steps of eight runs of 12 ms, at one cell per mm
 SECONDS_PER_CELL_STEP, LOSSY, GIGABYTES_PER_CELL = 0.6e-9, 3.0, 3e-7
 SPECTRAL_SECONDS = 1.5
 PRESS_SECONDS, PRESS_GIGABYTES = {2: (5.0, 2.5), 1: (10.0, 6.0), 0: (30.0, 20.0)}, 1.0
-"""Seconds of a press, fixed and per mm of depth, by the number of symmetry planes; memory in GB."""
+"""Time of a press in s, fixed and per mm of depth, by number of symmetry planes; memory in GB."""
 TETRAHEDRA = 4.0
-"""Ratio of the times of presses of an imported wall and of a round tube."""
+"""Ratio of the computing time of a press of an imported wall to that of a round tube."""
 
 
 def press_seconds(settings: SIPress, depth: float) -> float:
-    """Return the expected time in s of a press to a depth in m."""
+    """Return the expected computing time in s of a press to a depth in m."""
     start, per_mm = PRESS_SECONDS[sum(settings.indenter.halves)]
     return start + per_mm * MM * depth
 
@@ -43,7 +43,7 @@ def spectral_seconds(settings: SISettings) -> float:
 
 
 def cells_of(settings: SISettings) -> float:
-    """Return the number of grid cells in the box around the bore that is marched."""
+    """Return the number of cells of the FDTD grid, a box around the bore."""
     return grid_cells(
         bore=settings.tube.inner_diameter,
         outer_diameter=settings.tube.outer_diameter,

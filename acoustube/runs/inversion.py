@@ -40,27 +40,27 @@ CONTACT_COLUMNS = (
 )  # fmt: skip
 COLUMNS = ("recording", "group", "contact", *CONTACT_COLUMNS)
 USUAL_LENGTH = 2.5
-"""Length in m of a tube that neither the sensor's file nor the recording states."""
+"""Tube length in m, assumed where neither the sensor's file nor the recording states one."""
 SAME_AIR = 0.25
-"""Difference of temperatures in K up to which one model serves."""
+"""Largest difference of air temperature in K up to which a forward model is reused."""
 LENGTH = Number(1, 1000, "cm", "length of the tube")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
-    """A rangefinder on its tube, as far as it is known.
+    """Known properties of a rangefinder and its tube.
 
     Attributes
     ----------
     rangefinder : Rangefinder or None
         None for the sleeve paper's, with the recordings' sampling rate.
     length : float or None
-        Of the tube in m, where recordings do not state it.
+        Length of the tube in m, used where a recording does not state it.
     priors : Priors
     young_modulus : (float, float) or None
-        Of the wall and its standard deviation, in Pa; None for that of the library.
+        Young's modulus of the wall and its standard deviation, in Pa; None for that of the library.
     wrap : Wrap or None
-        Of the tube; None for a straight one.
+        Curvature of the wrapped tube; None for a straight one.
     """
 
     rangefinder: Rangefinder | None = None
@@ -70,7 +70,7 @@ class Sensor:
     wrap: Wrap | None = None
 
     def own(self, library: Library) -> Library:
-        """Return a library with the forces of the sensor's wall."""
+        """Return a library whose forces are scaled to the modulus of the sensor's wall."""
         return (
             library
             if self.young_modulus is None
@@ -84,10 +84,10 @@ def read_sensor(path: Path) -> Sensor:
     Parameters
     ----------
     path : Path
-        With ``length_cm``, the parameters of :class:`acoustube.ranging.Rangefinder`, its drive in a
-        table ``[drive]``, standard deviations of :class:`acoustube.inversion.Priors` in a table
-        ``[priors]``, and a table ``[wrap]`` (:func:`acoustube.runs.wrap.read_wrap`). Or that of a
-        twin.
+        TOML file with ``length_cm``, the parameters of :class:`acoustube.ranging.Rangefinder`, its
+        drive in a table ``[drive]``, standard deviations of :class:`acoustube.inversion.Priors` in
+        a table ``[priors]``, and a table ``[wrap]`` (:func:`acoustube.runs.wrap.read_wrap`);
+        alternatively the file of a twin.
 
     Raises
     ------
@@ -116,14 +116,14 @@ def read_sensor(path: Path) -> Sensor:
 
 
 class RecordingInverter:
-    """Inversion of recordings of one sensor, with a model for each temperature.
+    """Inversion of recordings of one sensor, with a forward model for each air temperature.
 
     Parameters
     ----------
     library : Library
     sensor : Sensor
     untouched : sequence of (Path, xarray.Dataset), optional
-        Recordings of the untouched tube, for its clutter.
+        Recordings of the untouched tube, from which its clutter is estimated.
     most : int
         Largest number of contacts.
     """
@@ -148,9 +148,9 @@ class RecordingInverter:
         Parameters
         ----------
         length : float
-            Of the tube in m.
+            Length of the tube in m.
         untouched : sequence of (Path, xarray.Dataset)
-            Recordings of the untouched tube from there.
+            Recordings of the untouched tube from the other end.
         """
         wrap = None if self.sensor.wrap is None else self.sensor.wrap.from_other_end(length)
         sensor = dataclasses.replace(self.sensor, wrap=wrap, length=length)
@@ -168,14 +168,14 @@ class RecordingInverter:
         data : xarray.Dataset
             From :func:`acoustube.recordings.read`.
         size : int
-            Cycles of a group; the last one may have fewer.
+            Number of cycles in a group; the last group may have fewer.
         check : callable
             Called before each group, to raise an interrupt that was lost.
 
         Raises
         ------
         ConfigError
-            If the recording is not one of such a sensor.
+            If the recording does not match the sensor.
         """
         rangefinder = self._rangefinder(path, data)
         signal, temperature = data["signal"], data["temperature"].values
@@ -187,7 +187,7 @@ class RecordingInverter:
             yield number, inverter(signal.values[part])
 
     def _rangefinder(self, path: Path, data: xr.Dataset) -> Rangefinder:
-        """Return the rangefinder of a recording, checked against it."""
+        """Return the rangefinder of a recording, after a check of its sampling rate and samples."""
         rate = float(data.attrs["sampling_rate"])
         found = self.sensor.rangefinder or dataclasses.replace(Rangefinder(), sampling_rate=rate)
         if abs(rate / found.sampling_rate - 1) > 1e-3:
@@ -247,8 +247,8 @@ class RecordingInverter:
     def length(self, data: xr.Dataset) -> float | None:
         """Return the length of a recording's tube in m, None if it is not stated.
 
-        A recording's own statement counts more than that of the sensor's file, beyond whose end
-        contacts would be lost.
+        The length that the recording states takes precedence over that of the sensor's file, since
+        contacts beyond the end of the tube would be missed.
         """
         own = stated_length(data)
         return self.sensor.length if own is None else own
@@ -256,7 +256,7 @@ class RecordingInverter:
     def _untouched(
         self, path: Path, data: xr.Dataset, rangefinder: Rangefinder
     ) -> tuple[Any, float]:
-        """Return the untouched cycles and their temperature in degC."""
+        """Return the untouched cycles and their mean temperature in degC."""
         cycles, temperatures = [], []
         for source, one in self.untouched:
             if one.sizes["time"] != data.sizes["time"]:
@@ -270,7 +270,7 @@ class RecordingInverter:
 
 
 def check_band(library: Library, base: Baseband) -> None:
-    """Raise :class:`ConfigError` if a library's band does not hold that of a baseband."""
+    """Raise :class:`ConfigError` if a library's band does not contain that of a baseband."""
     low, high = library.band
     ratio = library.sound_speed / base.speed
     least, most = base.frequency[0] * ratio * 0.99, base.frequency[-1] * ratio * 1.01
@@ -286,7 +286,7 @@ def check_band(library: Library, base: Baseband) -> None:
 def rows_of(
     path: Path, group: int, contacts: Sequence[tuple[Contact, float]], library: Library
 ) -> list[list[object]]:
-    """Return a row of :data:`COLUMNS` for each contact and misfit, with its number from 0."""
+    """Return a row of :data:`COLUMNS` for each pair of contact and misfit, numbered from 0."""
     return [
         [str(path), group, number, *contact_cells(contact, misfit, library)]
         for number, (contact, misfit) in enumerate(contacts)
@@ -303,19 +303,18 @@ def contact_cells(contact: Contact, misfit: float, library: Library) -> list[str
     return [f"{contact.probability:.4f}", *values, f"{diameter:g}", f"{misfit:.4g}"]
 
 
-def note_length(recording: str, report: Reporter) -> None:
-    """Report that nothing states the length of a recording's tube, and which is assumed."""
-    report.note(
-        f"{recording}: nothing states the length of the tube, and {CM * USUAL_LENGTH:g} cm is "
-        "assumed; state length_cm in the file of the sensor"
-    )
-
-
-def note_misfit(path: Path, misfits: Sequence[float], n_groups: int, report: Reporter) -> None:
-    """Report groups whose echoes differ from the library's."""
+def note_doubts(
+    path: Path, misfits: Sequence[float], n_groups: int, length: float | None, report: Reporter
+) -> None:
+    """Report groups with a large misfit, and a tube length that is assumed."""
     if misfits:
         report.note(
             f"{path}: in {len(misfits)} of {n_groups} groups the echo differs from the library's "
             f"by {PERCENT * min(misfits):.0f} to {PERCENT * max(misfits):.0f} %; tube, tools, "
             "sensor or number of contacts are not those stated, or a force is beyond the library's"
+        )
+    if length is None:
+        report.note(
+            f"{path}: nothing states the length of the tube, and {CM * USUAL_LENGTH:g} cm is "
+            "assumed; state length_cm in the file of the sensor"
         )

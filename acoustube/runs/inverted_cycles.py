@@ -1,4 +1,4 @@
-"""Estimates of labelled cycles by inversion, in the tables of the trained estimators."""
+"""Estimates of labelled cycles by inversion, in the format of the trained estimators."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from acoustube.inversion import Contact, Estimate, Inversion
 from acoustube.runs.inversion import RecordingInverter
 
 LEVELS = 0.68, 0.9
-"""Probabilities of the intervals, as of the trained estimators."""
+"""Probabilities of the central intervals, the same as those of the trained estimators."""
 
 
 def inverted(
@@ -30,11 +30,11 @@ def inverted(
     Parameters
     ----------
     recordings : iterable of (Path, xarray.Dataset)
-        Cycles with labels, and their files for messages, as of
+        Files, named in messages, and their labelled cycles, from
         :func:`acoustube.runs.recordings.read_cycles`.
     inverter : RecordingInverter
     size : int
-        Cycles of a group, at most.
+        Largest number of cycles in a group.
     report : callable
         Called with a stage and the fraction of it that is done.
 
@@ -43,14 +43,15 @@ def inverted(
     table : xarray.Dataset
         Labels of the groups, by ``cycle``.
     estimates : xarray.Dataset
-        As of :func:`acoustube.estimation.estimate`, of the most probable contact, and of the
-        largest force among those equally probable within 0.01; nan where none is likely. Half
-        widths are half the central intervals.
+        Format of :func:`acoustube.estimation.estimate`. They are those of the most probable
+        contact; of contacts equally probable within 0.01, those of the one with the largest force;
+        nan where no contact has a probability above 0.5. Half widths are those of the central
+        intervals.
 
     Raises
     ------
     ConfigError
-        If a recording is not one of the sensor, or has no label.
+        If a recording does not match the sensor, or has no label.
     """
     labels: dict[str, list[float]] = {name: [] for name in TARGETS}
     columns: dict[str, list[float]] = {}
@@ -76,7 +77,7 @@ def inverted(
 
 
 def alike(data: xr.Dataset, labels: Sequence[str], size: int) -> Iterator[tuple[xr.Dataset, float]]:
-    """Yield groups of consecutive cycles with equal labels, and the share that is done."""
+    """Yield groups of consecutive cycles with equal labels, and the fraction of cycles done."""
     values = np.stack([np.nan_to_num(data[name].values.astype(float)) for name in labels])
     n = data.sizes["cycle"]
     edges = [0, *(1 + np.flatnonzero(np.any(np.diff(values, axis=1) != 0, axis=0))), n]
@@ -101,5 +102,5 @@ def _estimated(found: Inversion) -> dict[str, float]:
 
 
 def _rank(contact: Contact) -> tuple[float, float]:
-    """Return rounded probability and force: a false contact is seldom as certain as a true one."""
+    """Return rounded probability and force: false detections are seldom as probable as contacts."""
     return round(contact.probability, 2), contact.force.value

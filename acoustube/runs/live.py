@@ -42,10 +42,10 @@ if TYPE_CHECKING:
     from acoustube.runs.live_contacts import Contacts, Follower
 
 RATE = 80e3
-"""Samples per second of EchoTube's board."""
+"""Sampling rate of EchoTube's board in Hz."""
 BAUD = 1_000_000
 RECENT = 2000
-"""Number of latencies of which the median is taken."""
+"""Number of recent latencies whose median is reported."""
 LIVE_COLUMNS = (*COLUMNS, "received_s", "pulse_width")
 
 
@@ -62,9 +62,9 @@ class Stream:
     temperature : float
         Air temperature in degC.
     rate : float
-        Samples per second. Where the carrier does not lie below half of it, as with EchoTube's
-        80 kHz, the cycles are processed without the matched filter and good to several mm:
-        :func:`acoustube.signals.without_aliased_template`.
+        Sampling rate in Hz. If the carrier is not below half of it, as with EchoTube's 80 kHz, the
+        cycles are processed without the matched filter, and distances are accurate to several mm
+        only; see :func:`acoustube.signals.without_aliased_template`.
     frame_bytes : int
         See :class:`acoustube.recordings.echotube_stream.Decoder`.
     baud : int
@@ -82,26 +82,26 @@ class Stream:
 
 @dataclass(kw_only=True)
 class Tally:
-    """Counts of a stream.
+    """Counts of the cycles and bytes of a stream.
 
     Attributes
     ----------
     n_cycles, n_detections : int
-        Processed cycles, and how many of them held an echo.
+        Numbers of processed cycles, and of those with a detected echo.
     n_skipped : int
-        Cycles that were not inverted, for others waited.
+        Number of cycles that were not inverted, because newer ones were waiting.
     learning : bool
-        Whether the clutter of the untouched tube is learned.
+        Whether the clutter of the untouched tube is being estimated.
     found : Tracked or None
         Contacts of the last cycle that was inverted.
     n_garbled, n_joined, n_bytes : int
         See :class:`acoustube.recordings.echotube_stream.Decoder`.
     n_dropped : int
-        Intact cycles for which there was no time.
+        Number of intact cycles that were not processed for lack of time.
     arrivals : deque of float
-        When the last cycles came, by `time.perf_counter`.
+        Arrival times of the last cycles in s, by `time.perf_counter`.
     latencies : deque of float
-        Seconds from the last byte of a cycle to its row in the log, of the last cycles.
+        Times in s from the last byte of a cycle to its row in the log, of the last cycles.
     """
 
     n_cycles: int = 0
@@ -125,11 +125,11 @@ class Tally:
 
     @property
     def latency(self) -> float:
-        """Median in s, nan before the first cycle."""
+        """Median latency in s; nan before the first cycle."""
         return float(np.median(self.latencies)) if self.latencies else np.nan
 
     def words(self) -> str:
-        """Return the counts as a line."""
+        """Return the counts as one line of text."""
         if not self.n_cycles:
             missing = f"no intact cycle in {self.n_bytes} bytes, {self.n_garbled} garbled"
             return missing + ("; check the baud rate and the board" if self.n_bytes else "")
@@ -143,7 +143,7 @@ class Tally:
 
 
 Show = Callable[[Tally, Ranging | None], None]
-"""Called with the counts and the last cycle, about a hundred times a second."""
+"""Function called with the counts and the last cycle, about a hundred times a second."""
 
 
 def follow(
@@ -162,13 +162,13 @@ def follow(
     show : callable
         Called with the counts so far and the last cycle, None before the first.
     out : Path, optional
-        New CSV file, one row of :data:`LIVE_COLUMNS` per cycle, on the disk with each cycle:
+        New CSV file with one row of :data:`LIVE_COLUMNS` per cycle, written as the cycle arrives:
         `received_s` is the Unix time in s at which a cycle's last byte arrived, and `pulse_width`
         the pulse width that the rangefinder itself reports, in us.
     duration : float, optional
-        In s.
+        Duration in s; no limit by default.
     contacts : Contacts, optional
-        How contacts are found by inversion; not at all by default.
+        Settings of the search for contacts by inversion; no search by default.
 
     Returns
     -------
@@ -188,7 +188,7 @@ def follow(
     table, columns = (None, ()) if contacts is None else (contacts.table, contacts.columns)
     decoder, tally = Decoder(stream.frame_bytes), Tally()
     ranging: Ranging | None = None
-    # One reference for the whole run, so that an adjusted clock leaves the intervals as they are.
+    # One reference for the whole run, so that an adjusted clock does not change the intervals.
     epoch = time.time() - time.perf_counter()
     kept = "nothing is logged" if out is None else f"{out} holds them"
     with (
@@ -232,7 +232,7 @@ def _tracker(stream: Stream) -> Tracker:
     check_rate(stream.rate, known, Path(stream.port))
     settings = signals.without_aliased_template(settings, stream.rate)
     try:
-        # The first samples gave their place to the pulse width.
+        # The pulse width replaces the first samples of a cycle.
         tracker = Tracker(np.arange(PULSE_WIDTH_BYTES, stream.frame_bytes) / stream.rate, settings)
         signals.speed_of_sound(stream.temperature)
     except ValueError as error:
@@ -263,7 +263,7 @@ def _opened(port: str, baud: int) -> Iterator[Any]:
 
 
 def _follower(stream: Stream, contacts: Contacts | None) -> Follower | None:
-    """Return what finds the contacts in the stream's cycles, if they are sought."""
+    """Return the tracker of contacts in the stream's cycles; None if contacts are not sought."""
     if contacts is None:
         return None
     from acoustube.runs.live_contacts import Follower
@@ -273,12 +273,12 @@ def _follower(stream: Stream, contacts: Contacts | None) -> Follower | None:
 
 @contextlib.contextmanager
 def _log(out: Path | None, columns: Sequence[str]) -> Iterator[Callable[[list[object]], None]]:
-    """Yield a function that writes a row to a new file, at once."""
+    """Yield a function that immediately writes a row to a new file."""
     if out is None:
         yield lambda _: None
         return
     try:
-        # With its head at once: an interrupt in between would leave an empty file in the way.
+        # With its header at once: an interrupt in between would leave an empty file behind.
         file = begin(out, _csv_row(columns))
     except OSError as error:
         raise ConfigError(
@@ -313,14 +313,14 @@ def _csv_row(row: Sequence[object]) -> bytes:
 def _taken(
     receiver: Receiver, duration: float | None, check: Callable[[], None]
 ) -> Iterator[tuple[float, Frame | None]]:
-    """Yield cycles with arrival times, or None after a time-out, until the stream ends."""
+    """Yield arrival times in s and cycles, None after a time-out, until the stream ends."""
     end = np.inf if duration is None else time.perf_counter() + duration
     while True:
         check()
         timed_out = time.perf_counter() > end
         if timed_out:
             receiver.stop()
-        # Asked before the queue: what came before the end is in it.
+        # Checked before the queue, which then holds all cycles that arrived before the end.
         ended = timed_out or receiver.failure is not None
         taken = receiver.take()
         if taken is not None:

@@ -1,4 +1,4 @@
-"""Contacts in the cycles of a board as they arrive, by a tracker that inverts each of them."""
+"""Contacts in the cycles of a board as they arrive, by a tracker that inverts each cycle."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from acoustube.runs.libraries.files import open_library
 
 COLUMNS = ("cycle", "received_s", "contact", *CONTACT_COLUMNS)
 BITS = 8
-"""Bits of a board's samples."""
+"""Resolution of a board's samples in bits."""
 FEWEST = 8
-"""Untouched cycles from which clutter can be learned."""
+"""Smallest number of untouched cycles from which clutter is estimated."""
 BACKLOG = 2
-"""Cycles waiting with which a cycle is not inverted."""
+"""Largest number of waiting cycles with which a cycle is still inverted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,15 +47,16 @@ class Contacts:
     Attributes
     ----------
     folder : Path
-        Of the library.
+        Folder of the library.
     sensor : Path or None
         TOML file of the sensor, see :func:`acoustube.runs.inversion.read_sensor`.
     rest : float
-        Time in s at the start in which the tube is untouched, and its clutter learned; 0 for none.
+        Time in s at the start during which the tube is untouched and its clutter is estimated; 0
+        to omit this.
     most : int
         Largest number of contacts.
     table : Path or None
-        New CSV file, one row of :data:`COLUMNS` per contact and cycle.
+        New CSV file with one row of :data:`COLUMNS` per contact and cycle.
     """
 
     folder: Path
@@ -71,22 +72,22 @@ class Contacts:
 
 
 class Follower:
-    """Contacts from cycle to cycle of a stream, after its clutter is learned.
+    """Tracker of the contacts in the cycles of a stream, which first estimates the clutter.
 
     Parameters
     ----------
     how : Contacts
     rate : float
-        Samples per second.
+        Sampling rate in Hz.
     n_samples : int
-        Of a cycle, the two included in whose place the pulse width is sent.
+        Samples of a cycle, including the two that the pulse width replaces.
     temperature : float
-        Of the air in degC.
+        Air temperature in degC.
 
     Raises
     ------
     ConfigError
-        If the library or the sensor cannot be read, or does not go with the stream.
+        If the library or the sensor cannot be read, or does not match the stream.
     """
 
     def __init__(self, how: Contacts, rate: float, n_samples: int, temperature: float) -> None:
@@ -120,22 +121,22 @@ class Follower:
 
     @property
     def learning(self) -> bool:
-        """State of the clutter: True while it is learned from an untouched tube."""
+        """True while the clutter is estimated from the untouched tube."""
         return self.tracker is None
 
     def update(
         self, samples: NDArray[np.uint8], received: float, waiting: int = 0
     ) -> Tracked | None:
-        """Return the contacts after a cycle, or None while the clutter is learned or if skipped.
+        """Return the contacts after a cycle; None if it is skipped or used for the clutter.
 
         Parameters
         ----------
         samples : ndarray
-            Of the cycle from the third on, (n_samples - 2,).
+            Samples of the cycle from the third on, (n_samples - 2,).
         received : float
-            When it came, in s.
+            Arrival time in s.
         waiting : int
-            Cycles that have come since; where there are some the cycle is left out.
+            Number of cycles that have arrived since; above :data:`BACKLOG` the cycle is skipped.
         """
         cycle = np.concatenate([np.repeat(samples[:1], PULSE_WIDTH_BYTES), samples])
         if self.tracker is None:
@@ -191,7 +192,7 @@ def in_words(found: Tracked) -> list[str]:
 def drawn(found: Tracked, width: int) -> str:
     """Return the tube as a row of characters, with the contacts on it.
 
-    It ends at the place from which the last sound of a cycle comes.
+    The row ends at the largest distance whose echo arrives within a cycle.
     """
     row, length = ["─"] * width, float(found.place[-1])
     for one in found.contacts:

@@ -1,4 +1,4 @@
-"""Sweeps and datasets of any number of files as one, opened lazily."""
+"""Sweeps and datasets of any number of files, opened lazily as one dataset."""
 
 from __future__ import annotations
 
@@ -35,20 +35,21 @@ def open_dataset(where: str | Path | Iterable[str | Path], *, verify: bool = Tru
         Folders that ``acoustube sweep`` or ``acoustube dataset`` wrote, their files, or patterns
         such as ``"runs/*"``.
     verify : bool
-        Whether the bytes of each file are hashed first, at about 1 GB/s, and a damaged one is
+        Whether the hash of each file is checked first, at about 1 GB/s, and damaged files are
         refused; False for a large dataset that was verified before.
 
     Returns
     -------
     xarray.Dataset
-        Of a sweep: along ``press``, whose coordinate holds the names of the cases, sorted by tube,
-        tool, sound, place and depth. Of a dataset: along ``cycle``, with a coordinate ``press``
-        that holds the case of each. Read when it is used.
+        A sweep has the dimension ``press``, whose coordinate contains the names of the cases,
+        sorted by tube, tool, sound, position and depth. A dataset of cycles has the dimension
+        ``cycle``, with a coordinate ``press`` that contains the case of each cycle. Values are
+        read when they are used.
 
     Raises
     ------
     ConfigError
-        If there is nothing, a file is damaged or another program's, or sweeps and datasets are
+        If there are no files, a file is damaged or another program's, or sweeps and datasets are
         mixed.
 
     Examples

@@ -47,12 +47,12 @@ def pressed(
     ----------
     config : Config or Mechanics
     depths : sequence of float
-        Rising depths in m, each of which is met exactly.
+        Rising indentation depths in m, each of which is reached exactly.
     progress : callable, optional
         Called with the finished fraction.
     note : callable, optional
-        Called with a sentence where a cached press is damaged and has to be computed again, or
-        where the mesh of an imported wall leaves its surface.
+        Called with a sentence if a cached press is damaged and has to be computed again, or if the
+        mesh of an imported wall deviates from its surface.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def press_to(
 ) -> Indentation:
     """Press a tube to several depths as :func:`pressed`, from settings in SI units.
 
-    The code that it needs is compiled in the background, and after it that of `then`.
+    The code that the press needs is compiled in the background, followed by that of `then`.
     """
     name = cache_key(settings, depths)
     known = cache.recall(name)
@@ -98,9 +98,9 @@ def press_to(
 
 
 def cache_key(settings: SIPress, depths: Sequence[float]) -> str:
-    """Return the name in the cache of the press that the settings describe, to depths in m."""
+    """Return the cache key of the press that the settings describe, to depths in m."""
     tube = dataclasses.asdict(settings.tube)
-    del tube["length"]  # beyond the modelled part, whose length follows from the press
+    del tube["length"]  # without effect: the length of the modelled part follows from the press
     return cache.key(
         "press",
         {
@@ -116,7 +116,7 @@ def cache_key(settings: SIPress, depths: Sequence[float]) -> str:
 
 
 def wall_in_words(settings: SIPress) -> str:
-    """Return the tube in words."""
+    """Return the sizes or the file of the tube as text."""
     if settings.surface is not None:
         return Path(settings.surface).name
     tube = settings.tube
@@ -124,7 +124,7 @@ def wall_in_words(settings: SIPress) -> str:
 
 
 def press_in_words(settings: SIPress) -> str:
-    """Return the press in words."""
+    """Return the indenter, depth and support of the press as text."""
     indenter, layer = settings.indenter, settings.layer
     words = [f"{MM * indenter.diameter:g} mm {indenter.shape}", f"{MM * settings.depth:g} mm deep"]
     words += [f"{MM * indenter.x:g} mm beside the axis"] * (indenter.x != 0)
@@ -179,7 +179,7 @@ def _check_depth(tube: Tube, settings: SIPress) -> None:
 
 
 def _arrays(indentation: Indentation) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a press that are cached: its results, and a mesh that was imported."""
+    """Return the arrays of a press to be cached: its results, and the mesh of an imported wall."""
     mesh = indentation.mesh
     found = dict(indentation.results)
     if mesh.sweep is None:

@@ -1,4 +1,4 @@
-"""Recordings processed piece by piece, with tables of their echoes."""
+"""Processing of recordings in pieces, and tables of their echoes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from acoustube.runs.twin_calibration import is_twin, twin_calibration
 from acoustube.signals import Calibration, Processing, Ranging
 
 CHUNK = 250
-"""Cycles that are processed together: 8 MB of double precision per step."""
+"""Number of cycles that are processed together: 8 MB of double precision per step."""
 THREADS = 2
 COLUMNS = (
     "cycle", "time_of_flight_ms", "distance_cm", "amplitude", "prominence", "n_peaks", "detected",
@@ -45,14 +45,14 @@ def located(data: xr.Dataset, how: Processing) -> Iterator[tuple[int, Ranging]]:
     data : xarray.Dataset
         From :func:`acoustube.recordings.read`.
     how : Processing
-        :func:`acoustube.signals.without_aliased_template` to the recording's sampling rate.
+        Settings, to which :func:`acoustube.signals.without_aliased_template` is applied.
 
     Yields
     ------
     first : int
         Number of the piece's first cycle.
     ranging : Ranging
-        Of the piece.
+        Result for the piece.
     """
     cycles, time = data["signal"], data["time"].values
     how = signals.without_aliased_template(how, signals.sampling_rate(time))
@@ -81,11 +81,11 @@ def chosen(
     Parameters
     ----------
     calibration : str or None
-        A file of a calibration or of a twin, which gives one, or the name of a calibration.
+        File of a calibration, file of a twin, which gives a calibration, or name of a calibration.
     prominence : float or None
-        In place of the calibration's.
+        Least prominence of an echo, in place of the calibration's.
     usual : Processing, optional
-        Without a calibration.
+        Processing to use without a calibration.
 
     Raises
     ------
@@ -102,13 +102,13 @@ def chosen(
 
 @contextlib.contextmanager
 def opened(out: Path | None, others: Mapping[Path, bytes | str]) -> Iterator[TextIO]:
-    """Yield standard output, or a new file that appears when it is complete, and others with it.
+    """Yield standard output, or the table of a new file; files are written once complete.
 
     Parameters
     ----------
     out : Path or None
     others : mapping of Path to bytes
-        Contents of other files.
+        Contents of other files, written at the same time.
     """
     table = io.StringIO()
     yield sys.stdout if out is None else table
@@ -123,9 +123,9 @@ class Processed(NamedTuple):
     rows : list of list
         Rows of :data:`COLUMNS` and of the labels :data:`LABEL_COLUMNS`.
     n_detected : int
-        Cycles with an echo.
+        Number of cycles with an echo.
     loudest : float
-        Highest amplitude of an echo, in heights of the send pulse.
+        Highest amplitude of an echo, relative to the send pulse.
     first : tuple of int and Ranging, or None
         First piece with an echo, and the number of its first cycle.
     """
@@ -146,15 +146,15 @@ def aligned(
     data : xarray.Dataset
         From :func:`acoustube.recordings.read`.
     pulse_at : float, "auto" or None
-        Time in ms from the first sample to the send pulse; "auto" finds a constant one; None
-        leaves the time as it is.
+        Time in ms from the first sample to the start of the send pulse; "auto" estimates one that
+        all cycles share; None leaves the time as it is.
     how : Processing
 
     Returns
     -------
     data : xarray.Dataset
     lead : float or None
-        In s, from the first sample.
+        Time in s from the first sample to the start of the send pulse.
 
     Raises
     ------
@@ -178,7 +178,7 @@ def aligned(
 
 
 def read_cycles(paths: Sequence[Path], **options: Any) -> Iterator[tuple[Path, xr.Dataset]]:
-    """Yield the recordings of files and folders, and their files; raise if one cannot be read."""
+    """Yield each file of files and folders with its recording; raise if one cannot be read."""
     for path, data in recordings.read_all(paths, **options):
         if isinstance(data, ConfigError):
             raise data
@@ -263,7 +263,7 @@ def check_rate(rate: float, known: Calibration | None, source: Path) -> None:
 def table_rows(first: int, ranging: Ranging, source: Path) -> Iterator[list[object]]:
     """Return a row of :data:`COLUMNS` for each cycle, given the number of the first.
 
-    The ranging is one of several cycles or of a single one.
+    `ranging` is that of several cycles or of a single one.
     """
     flight = MS * (ranging.return_time - ranging.send_time)
     columns = (flight, CM * ranging.distance, ranging.amplitude, ranging.prominence)

@@ -73,7 +73,7 @@ def dataset(
     seconds : mapping of str to float
         Computing time of each stage.
     warnings : sequence of str
-        Ways in which the run leaves the range of the model.
+        Sentences on limits of the model that the run exceeds.
     device : str
         Name of the computing device.
 
@@ -134,10 +134,10 @@ def press_dataset(
     Parameters
     ----------
     indentation : Indentation
-        It may end before the last depth; what is missing is not ``converged``, and nan, or zero
-        where it is a whole number.
+        It may end before the last depth. At the missing depths ``converged`` is False and values
+        are nan, or zero for integers.
     depths : sequence of float
-        In m.
+        Requested depths in m.
     seconds : float
         Computing time.
     config, warnings, device
@@ -184,7 +184,7 @@ def _lengthened(value: Variable, missing: int) -> Variable:
 
 
 def _mechanics(indentation: Indentation, rows: Sequence[int]) -> dict[str, Variable]:
-    """Return the press at some of its increments."""
+    """Return the variables of a press at some of its increments."""
     wall = inner_wall(indentation.mesh)
     place = np.array([indentation.indenters[0].z])
     sections = [measure(indentation, i, place, wall) for i in rows]
@@ -267,7 +267,7 @@ def _shape(indentation: Indentation, lumen: Lumen) -> dict[str, Variable]:
     stations = np.clip(lumen.rings[:, 0, 2], 0, length)
     z = np.union1d(np.linspace(0, length, EVEN_POINTS), stations)
     faces = ring_faces(*lumen.rings.shape[:2])
-    # A plane through the far cap itself cuts nothing.
+    # A plane through the far cap itself does not cut the surface.
     along = profile(lumen.rings.reshape(-1, 3), faces, np.minimum(z, length * (1 - 1e-12)))
     return _rings(lumen) | {
         "lumen_face": variable(
@@ -284,7 +284,7 @@ def _shape(indentation: Indentation, lumen: Lumen) -> dict[str, Variable]:
 
 
 def _rings(lumen: Lumen) -> dict[str, Variable]:
-    """Return the walls of the whole tube, and the place of the press."""
+    """Return the walls of the whole tube, and the position of the press."""
     return {
         "inner_wall": variable(
             "ring around xyz", lumen.rings, "m", "rings of the inner wall, source end at z = 0"

@@ -23,9 +23,9 @@ from acoustube.waves.spectral import SpectralScattering
 StoredScattering = Scattering | SpectralScattering
 """Scattering matrices that runs compute and store."""
 SOLVERS = "time domain", "spectral"
-"""Values of the attribute ``solver``; files of earlier versions are of the first."""
+"""Values of the attribute ``solver``; files without it, of earlier versions, are of the first."""
 SIZES = "tolerance", "degree", "n_elements", "n_shifts", "n_fields"
-"""Attributes of a matrix of the spectral solver."""
+"""Attributes of a matrix of the spectral solver: its tolerance and discretisation."""
 
 
 def to_dataset(found: StoredScattering) -> xr.Dataset:
@@ -95,7 +95,7 @@ def keep(name: str, found: StoredScattering, label: str) -> None:
 
 
 def recall(name: str) -> StoredScattering | None:
-    """Return a scattering matrix from the cache; None where it has none of that name."""
+    """Return a scattering matrix from the cache; None if there is none of that name."""
     known = cache.recall(name)
     if known is None:
         return None
@@ -110,12 +110,12 @@ def read(path: str | Path) -> StoredScattering:
     Returns
     -------
     Scattering or SpectralScattering
-        Its reference planes at z = 0 of the surface that was given.
+        Both reference planes are at z = 0 of the surface that was given.
 
     Raises
     ------
     ConfigError
-        If it is not such a file.
+        If the file is of another kind, or does not exist.
     """
     if not Path(path).is_file():
         raise ConfigError(f"{path} does not exist; write one with acoustube scatter")
@@ -131,7 +131,7 @@ def from_dataset(data: xr.Dataset) -> StoredScattering:
     Raises
     ------
     KeyError, ValueError, TypeError
-        If it is another dataset.
+        If the dataset is of another kind.
     """
     low, high = (float(z) for z in data.attrs["extent"])
     common: dict[str, Any] = {

@@ -1,7 +1,7 @@
 """Self-test of an installation: small computations with known results.
 
-Each stage computes as in a run, on the coarsest possible grid or mesh: the tolerances are those of
-these grids, not of the results of a run.
+Each stage computes as in a run, but on the coarsest possible grid or mesh. The tolerances are those
+of these grids, not of the results of a run.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ RADIUS = 3.95e-3
 AIR = Air(sound_speed=343.2, density=1.204)
 COARSE = MeshSize(through_wall=1, around=8, along=6)
 FORCE = 0.113604
-"""Contact force in N of the press below on that mesh; computed with acoustube 0.1.0 on Linux."""
+"""Contact force in N of a press of 0.2 mm on that mesh; computed by acoustube 0.1.0 on Linux."""
 FREQUENCY, REFLECTED = 12e3, 0.64041
 """Frequency in Hz, and amplitude reflected there by a bore narrowed by 40 % over 16 mm.
 
-From a spectral method that has nothing in common with the grid: case E of
+Computed by a spectral method that is independent of the grid: case E of
 ``tests/data/scattering.csv``.
 """
 
@@ -50,7 +50,7 @@ class Outcome(NamedTuple):
     ----------
     name : str
     computed, expected, tolerance : float
-        In `unit`; the tolerance is absolute. Computed is nan where there is a problem.
+        In `unit`; the tolerance is absolute. The computed value is nan if the test raised an error.
     unit : str
     seconds : float
         Computing time.
@@ -82,11 +82,11 @@ class Trial(NamedTuple):
     unit: str
 
     def run(self) -> Outcome:
-        """Run the test; one that raises counts as failed and holds the message."""
+        """Run the test; if it raises, it has failed, and the outcome contains the message."""
         started, computed, problem = time.perf_counter(), np.nan, ""
         try:
             computed = float(self.compute())
-        # An incomplete installation may raise anything; the message is the finding.
+        # An incomplete installation may raise any exception; the message is reported.
         except Exception as error:
             problem = f"{type(error).__name__}: {error}"
         seconds = time.perf_counter() - started

@@ -39,7 +39,7 @@ def sensor_document(document: Mapping[str, Any], path: Path) -> dict[str, Any]:
 
 
 def young_modulus(document: Mapping[str, Any], path: Path) -> tuple[float, float] | None:
-    """Return Young's modulus of the wall in Pa and its deviation, where presses determined it.
+    """Return Young's modulus of the wall and its standard deviation in Pa; None if undetermined.
 
     Raises
     ------
@@ -90,12 +90,12 @@ def twin_settings(path: Path) -> dict[str, Any]:
     Parameters
     ----------
     path : Path
-        File of a sensor; of another than a twin nothing is returned.
+        File of a sensor; the result is empty unless it is the file of a twin.
 
     Raises
     ------
     ConfigError
-        If its clutter or the deviation of its temperature is not of numbers.
+        If its clutter or the standard deviation of its temperature is not numeric.
     """
     document = read_document(path)
     if KIND not in document:

@@ -60,8 +60,8 @@ def simulate(
     Returns
     -------
     xarray.Dataset
-        Every stage's arrays, in SI units, with both choices of the source end along the dimension
-        ``source_end``. ``distance`` and ``amplitude`` are those of the chosen one.
+        Every stage's arrays, in SI units, with both boundary conditions of the source end along the
+        dimension ``source_end``. ``distance`` and ``amplitude`` are those of the selected one.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def simulate(
 
     Notes
     -----
-    The stages are functions of their own: :func:`acoustube.indentation.indent`,
+    Each stage is a function: :func:`acoustube.indentation.indent`,
     :func:`acoustube.lumen.lumen`, :func:`acoustube.waves.cut_cells`,
     :func:`acoustube.waves.propagate`, :func:`acoustube.signals.process`.
     """
@@ -125,7 +125,7 @@ def simulate(
 
 
 def warnings_for(settings: SISettings) -> list[str]:
-    """Return a warning for each way in which the settings leave the model's range."""
+    """Return a warning for each limit of the model that the settings exceed or approach."""
     air, pulse, radius = settings.air, settings.pulse, settings.radius
     found = [
         f"Mode ({mode.m},{mode.n}) cuts on at {KHZ * mode.cut_on:.2f} kHz, inside the pulse's "
@@ -170,7 +170,7 @@ def _narrow(settings: SISettings, indentation: Indentation) -> list[str]:
 def stage(
     name: str, seconds: dict[str, float], report: Report
 ) -> Iterator[Callable[[float], None]]:
-    """Report and time a stage; a ValueError becomes a failure of that stage."""
+    """Report and time a stage; a ValueError is raised again as SimulationError of that stage."""
     start = time.perf_counter()
     report(name, 0.0)
     try:

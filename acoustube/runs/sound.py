@@ -39,20 +39,20 @@ SOURCE_ENDS: tuple[SourceEnd, ...] = ("release", "absorbing")
 """Boundary conditions of the source end; both are computed, as a real end lies between them."""
 
 BAND_EDGE = -20.0
-"""Level in dB relative to the pulse's spectral peak down to which cut-ons are warned of."""
+"""Level in dB relative to the pulse's spectral peak above which a cut-on causes a warning."""
 
 BAND_LEVEL = -70.0
 """Level in dB relative to the pulse's spectral peak at which the computed band ends."""
 LOWEST_CARRIERS = 0.1
-"""Lowest computed frequency of a short pulse, whose band reaches to zero, over its carrier."""
+"""Lowest computed frequency relative to the carrier, for short pulses whose band reaches zero."""
 FREQUENCY_STEP = 100.0
-"""Frequency step in Hz of a scattering matrix: its response may last 10 ms."""
+"""Frequency step in Hz of a scattering matrix, for impulse responses of up to 10 ms."""
 LOSSLESS_REFINEMENT = 4
-"""Factor by which the frequencies of the spectral solver are denser without losses."""
+"""Factor by which the frequency step of the spectral solver is divided without losses."""
 LARGEST_SPECTRAL_ERROR = 0.02
-"""Largest estimate of the spectral solver's error, at most frequencies, that is accepted."""
+"""Largest accepted quantile over frequency of the spectral solver's error estimate."""
 TIME_STEP = 1e-6
-"""Time step in s of recordings that are joined from scattering and straight tube."""
+"""Time step in s of recordings computed from scattering matrices and straight tube."""
 
 
 def blind_time(settings: SISettings) -> float:
@@ -84,7 +84,7 @@ def tube_recordings(
     spacing = grid_spacing(settings.tube.inner_diameter, settings.resolution, probe)
     cells = cut_cells(space.surface, spacing, half=space.symmetric)
     recordings: dict[SourceEnd, Recording] = {}
-    # Both on the time axis of the first: their limits differ by less than a permille.
+    # Both take the time step of the first: their stability limits differ by less than 0.1 %.
     time_step: float | None = None
     for done, source_end in enumerate(SOURCE_ENDS):
         recordings[source_end] = propagate(
@@ -122,8 +122,8 @@ def scattered_recordings(
     budget : Budget or SpectralBudget
         Known errors of the recordings.
     note : str
-        Why the spectral solver was not used although it was asked for, or that its estimated error
-        exceeds the tolerance; empty otherwise.
+        Reason why the requested spectral solver was not used, or the statement that its estimated
+        error exceeds the tolerance; empty otherwise.
     """
     matrix, cells, note = scattering_of(
         part, settings.air, band_of(settings.pulse), method=settings.method,
@@ -157,13 +157,13 @@ def scattering_of(
     band : tuple of float
         Lowest and highest frequency in Hz.
     method : {"scattering", "spectral"}
-        Time-domain or spectral; a lumen that is unsuitable for the latter takes the former.
+        Time-domain or spectral solver; the former also computes lumens unsuitable for the latter.
     bore : float
         Inner diameter in m.
     resolution : int
         Grid cells across the bore.
     lossy : bool
-        With losses at the wall and in the air.
+        Whether there are losses at the wall and in the air.
     progress : callable, optional
         Called with the finished fraction.
 
@@ -172,10 +172,10 @@ def scattering_of(
     scattering : Scattering or SpectralScattering
         In steps of `FREQUENCY_STEP`, or of a fraction of it by the spectral solver without losses.
     cells : CutCells or None
-        The lumen on its grid, where there is one.
+        The lumen on the grid of the time-domain solver; None for the spectral one.
     note : str
-        Why the spectral solver was not used although it was asked for, or that its estimated error
-        exceeds the tolerance; empty otherwise.
+        Reason why the requested spectral solver was not used, or the statement that its estimated
+        error exceeds the tolerance; empty otherwise.
     """
     note = ""
     if method == "spectral":
@@ -202,7 +202,7 @@ def scattering_of(
 
 
 def _excess(matrix: SpectralScattering) -> str:
-    """Return the note of an estimated error above the tolerance at over 5 % of the frequencies."""
+    """Return a note if the estimated error exceeds the tolerance at over 5 % of the frequencies."""
     return matrix.excess if matrix.typical_error > matrix.tolerance else ""
 
 
@@ -221,14 +221,14 @@ def spectral_scattering_of(
     part, air, band, lossy
         As of :func:`scattering_of`.
     share : float
-        Part of the frequencies at which the estimated error must be small.
+        Fraction of the frequencies at which the estimated error must be small.
 
     Raises
     ------
     ConfigError
         If the lumen is unsuitable for the spectral solver, or its error estimate is too large.
     """
-    # Without losses a trapped mode rings for longer than the period of the usual step.
+    # Without losses a trapped mode rings for longer than the inverse of the usual step.
     step = FREQUENCY_STEP if lossy else FREQUENCY_STEP / LOSSLESS_REFINEMENT
     try:
         found = scatter_spectral(
@@ -259,13 +259,13 @@ class SpectralCheck(NamedTuple):
     Attributes
     ----------
     distance : tuple of float
-        Of the highest echo in m; nan without one.
+        Distance of the highest echo in m; nan without one.
     amplitude : tuple of float
         Its height, relative to the send pulse.
     error : float
         Estimated error of the scattering coefficients at 95 % of the frequencies.
     note : str
-        That it exceeds the tolerance; empty otherwise.
+        Statement that the error exceeds the tolerance; empty otherwise.
     """
 
     distance: tuple[float, ...]
@@ -297,7 +297,7 @@ def joined_recordings(
     ----------
     settings : SISettings
     presses : sequence of PlacedScatterer
-        Instead of the settings' press; none for an untouched tube.
+        Presses in place of the settings' press; none for an untouched tube.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Scattering of a lumen from a file: by the spectral solver, and its grid for the march."""
+"""Scattering of a lumen from a file by the spectral solver, and its grid for the time domain."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from acoustube.waves.spectral import (
 )
 
 NARROWEST_CELLS = 2
-"""Least number of cells across the narrowest place."""
+"""Least number of grid cells across the narrowest section."""
 
 
 def spectral_of_surface(
@@ -42,14 +42,14 @@ def spectral_of_surface(
     surface : trimesh.Trimesh
         In m, moved along z to begin at zero, from :func:`acoustube.base.surfaces.read_lumen`.
     start : float
-        Where it began, in m.
+        Position z in m at which it began in its file.
     air : Air
     frequency : ndarray
-        In Hz, (n,).
+        Frequencies in Hz, (n,).
     tolerance : float
-        Largest error of a coefficient.
+        Largest error of a scattering coefficient.
     lossy : bool
-        With the losses at the wall and in the air.
+        Whether there are losses at the wall and in the air.
 
     Raises
     ------
@@ -72,12 +72,12 @@ def spectral_of_surface(
 def cells_of_surface(
     surface: trimesh.Trimesh, path: Path, resolution: int, highest: float, air: Air
 ) -> CutCells:
-    """Return a closed surface on the grid of the march.
+    """Return a closed surface on the grid of the time-domain solver.
 
     Parameters
     ----------
     surface : trimesh.Trimesh
-        In m, from z = 0.
+        Closed surface in m that begins at z = 0.
     path : Path
         Its file, for messages.
     resolution : int
@@ -89,7 +89,7 @@ def cells_of_surface(
     Raises
     ------
     ConfigError
-        If the grid is too coarse for the frequency or for the narrowest place, or too large.
+        If the grid is too coarse for the frequency or for the narrowest section, or too large.
     """
     across = float(_end_size(surface) / resolution)
     _check_grid(highest, across, air, path)
@@ -137,7 +137,7 @@ def openings(cells: CutCells) -> Array:
 
 
 def _check_width(cells: CutCells, path: Path) -> None:
-    """Check that there are enough cells across the narrowest place."""
+    """Check that there are enough cells across the narrowest section."""
     inner = openings(cells)[1:-1]
     narrowest, place = float(inner.min()), int(inner.argmin())
     if narrowest < NARROWEST_CELLS * cells.spacing[1]:

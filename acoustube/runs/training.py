@@ -44,7 +44,7 @@ def table_of(
     Returns
     -------
     xarray.Dataset
-        From :func:`acoustube.estimation.feature_table`. A file without sessions counts as one.
+        From :func:`acoustube.estimation.feature_table`. A file without sessions is one session.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A sensor's twin from files: reading and checking its recordings, and the fit."""
+"""Fit of a sensor's twin to recordings from files, which are read and checked."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from acoustube.recordings.reading import stated_length
 from acoustube.runs.recordings import read_recordings
 
 BITS = (8, 10, 12, 14, 16)
-"""Resolutions that counts may have."""
+"""Possible resolutions of a converter in bits."""
 VOLTS = 1.8
-"""Full scale in V that is assumed: counts do not determine it, and only products with it matter."""
+"""Assumed full scale in V: counts determine voltages relative to it alone."""
 MOST_CLOSURES = 200
-"""Closures that are used, evenly chosen."""
+"""Largest number of closures that are used; of more, evenly spaced ones are chosen."""
 MOST_CLUTTER = 5e-3
-"""Power reflected per length in 1/m above which a tube is not untouched: -23 dB, ordinary ones have
--48 dB."""
+"""Largest power per length, in 1/m, that an untouched tube reflects: -23 dB re 1/m; ordinary tubes
+reflect -48 dB."""
 SAME_PLACE = 1e-4
-"""Difference in m up to which two labels are one place."""
+"""Largest difference in m between labels of the same position."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,11 +48,11 @@ class Bench:
     Attributes
     ----------
     length : float or None
-        Of the tube in m.
+        Length of the tube in m.
     bits : int or None
-        Resolution of the converter; from the counts by default.
+        Resolution of the converter; derived from the counts by default.
     humidity : float or None
-        Relative, of the air, in per cent; None for the speed of sound in dry air.
+        Relative humidity of the air in per cent; None for the speed of sound in dry air.
     """
 
     length: float | None = None
@@ -62,7 +62,7 @@ class Bench:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PressedState:
-    """A press that was recorded.
+    """A recorded press.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class PressedState:
         Distance in m, as stated or else as estimated from the echo; nan if neither.
     press : Press
     reason : str
-        Why its echo gives no depth; empty if it does.
+        Reason why its echo gives no depth; empty if it gives one.
     """
 
     source: str
@@ -83,7 +83,7 @@ class PressedState:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FittedSensor:
-    """Twin of a sensor with what it was fitted to.
+    """Twin of a sensor, and the recordings to which it was fitted.
 
     Attributes
     ----------
@@ -98,13 +98,13 @@ class FittedSensor:
     full_scale : float
         Voltage of ``2**bits`` counts.
     temperature_noise : float
-        Standard deviation of the reported temperature in a group, in K.
+        Standard deviation of the reported temperature within a recording in K, the median of all.
     length : float or None
         Stated length of the tube in m.
     material : Material or None
-        Of presses, if there are recordings of them.
+        Wall and ground as estimated from presses; None without recordings of presses.
     pressed : tuple of PressedState
-        These presses.
+        The recorded presses.
     """
 
     twin: Twin
@@ -126,7 +126,7 @@ class FittedSensor:
 
     @property
     def dry_offset(self) -> float:
-        """Offset in K with which dry air has the speed of sound of the air."""
+        """Temperature offset in K with which dry air has the speed of sound of the humid air."""
         offset, humidity = self.twin.value("temperature_offset"), self.twin.model.humidity
         if humidity is None:
             return offset
@@ -152,7 +152,7 @@ def fitted_sensor(
     closed, untouched : sequence of Path
         Files and folders.
     options : mapping
-        Of :func:`acoustube.recordings.read`.
+        Options of :func:`acoustube.recordings.read`.
     pulse_at : float, "auto" or None
         As of :func:`acoustube.runs.recordings.aligned`.
     bench : Bench
@@ -183,7 +183,7 @@ def fitted_sensor(
     )
     for path, data in [*shut, *free]:
         for words in str(data.attrs.get("warnings", "")).splitlines():
-            # Ring-downs are clipped, and clipped echoes are named one by one.
+            # Ring-downs are usually clipped, and clipped echoes are reported one by one.
             if "extreme codes" not in words:
                 report.note(f"{path}: {words}")
     with report.progress(check) as show:
@@ -214,7 +214,7 @@ def fitted_sensor(
 
 
 def _alike(parts: Sequence[tuple[Path, xr.Dataset]]) -> tuple[float, float]:
-    """Return sampling rate and start of recordings; raise unless they share them."""
+    """Return sampling rate in Hz and start in s of recordings; raise unless they are the same."""
     first, data = parts[0]
     rate, n = float(data.attrs["sampling_rate"]), data.sizes["time"]
     start = float(data["time"].values[0])
@@ -266,7 +266,7 @@ def _converter(
     high = max(float(data["signal"].max()) for _, data in parts)
     whole = all(np.issubdtype(data["signal"].dtype, np.integer) for _, data in parts)
     if not whole or low < 0 or high >= 2 ** BITS[-1]:
-        # Samples in a unit of their own, which is called a volt.
+        # Samples in an unknown unit, which is taken to be the volt.
         return 16, False, float(2**16)
     if bits is None:
         stated = [data.attrs["full_scale"] for _, data in parts if "full_scale" in data.attrs]

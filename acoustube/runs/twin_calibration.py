@@ -1,4 +1,4 @@
-"""Calibration that the twin of a sensor gives, from closures that it records."""
+"""Calibration of a sensor from its twin, with which recordings of closures are simulated."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from acoustube.runs.sweep.dataset import rangefinder_in
 from acoustube.signals import Calibration, Processing
 
 FIRST, APART = 0.2, 0.05
-"""The nearest closure, and the distance from one to the next, in m: those of the sleeve paper."""
+"""Distance of the nearest closure and spacing of the closures in m, as in the sleeve paper."""
 BEFORE_END = 0.05
 """Distance in m of the farthest closure from the tube's end."""
 FEWEST = 8
-"""Closures of a calibration."""
+"""Smallest number of closures of a calibration."""
 LEAST_SPEED = 330.0
-"""Speed of sound in m/s by which the farthest closure is chosen."""
+"""Lower bound of the speed of sound in m/s, with which the farthest closure is chosen."""
 CYCLES, UNTOUCHED = 3, 100
 AIR = 20.0
-"""Temperature in degC of all recordings; it changes the losses alone, by some per cent per 10 K."""
+"""Air temperature in degC of the recordings; only losses depend on it, some per cent per 10 K."""
 SIGMAS, FALSE_ALARMS = (2.8, 5.0, 8.0, 12.0, 20.0), 0.01
-"""Prominences that are tried, in standard deviations of untouched cycles; the first is used at
-which at most this fraction of the untouched cycles shows an echo."""
+"""Prominences that are tried, in standard deviations of untouched cycles, and the largest accepted
+fraction of untouched cycles with a false echo. The first prominence that meets it is used."""
 LOW_PASS = 10e3
-"""Highest cut-off in Hz of the envelope's low-pass; for low carriers it is half of them."""
+"""Highest cut-off in Hz of the envelope's low-pass; at low carriers it is half the carrier."""
 OUTSIDE = 0.9
 """Upper end of the closures' band, as a fraction of half the sampling rate."""
 
 
 def is_twin(path: Path) -> bool:
-    """Return whether a file is that of a twin; one that cannot be read is not."""
+    """Return whether a file is that of a twin; False if it cannot be read."""
     try:
         return KIND in read_document(path)
     except ConfigError:
@@ -52,13 +52,13 @@ def twin_calibration(path: Path) -> Calibration:
     Raises
     ------
     ConfigError
-        If the file is damaged, or the sensor's echoes do not suffice.
+        If the file is damaged, or the sensor's echoes do not suffice for a calibration.
 
     Notes
     -----
-    The twin records closures every 5 cm and the untouched tube with its measured clutter, as
-    :func:`acoustube.signals.calibrate` takes them. The thermometer's error is left out: correct
-    the temperatures by it.
+    Cycles of closures every 5 cm, and of the untouched tube with its measured clutter, are
+    simulated with the twin and passed to :func:`acoustube.signals.calibrate`. The error of the
+    thermometer is not included: temperatures must be corrected by it.
     """
     document = read_document(path)
     own = replace(rangefinder_in(document, path), temperature_bias=0.0, temperature_noise=0.0)
@@ -76,7 +76,7 @@ def twin_calibration(path: Path) -> Calibration:
 
 
 def _calibrated(own: Rangefinder, trigger: float, common: Mapping[str, Any]) -> Calibration:
-    """Return the calibration of a rangefinder on a tube, whose drive starts at a time in s."""
+    """Return the calibration of a rangefinder on a tube, whose drive starts at `trigger` in s."""
     band = np.array([100.0, OUTSIDE * own.sampling_rate / 2])
     reach = LEAST_SPEED * own.n_samples / own.sampling_rate / 2
     places = np.arange(FIRST, min(common["length"] - BEFORE_END, reach), APART)
@@ -89,7 +89,7 @@ def _calibrated(own: Rangefinder, trigger: float, common: Mapping[str, Any]) -> 
         for i, z in enumerate(places)
     ]
     free = record([], own, n_cycles=UNTOUCHED, seed=len(places), session_seed=0, **common)
-    # Time zero of the twin's recordings, before which they may begin.
+    # Relative to time zero of the twin's recordings, which may begin before it.
     time = free["time"].values - own.lead + trigger
     cycles = np.concatenate([one["signal"].values for one in shut])
     for sigmas in SIGMAS:
@@ -116,9 +116,9 @@ def corrections(sensor: Path | None, calibration: str | None) -> tuple[str | Non
     Parameters
     ----------
     sensor : Path or None
-        File of a sensor; that of a twin is a calibration too.
+        File of a sensor; the file of a twin also gives a calibration.
     calibration : str or None
-        Goes before that of the twin.
+        Takes precedence over that of the twin.
     """
     if sensor is None:
         return calibration, 0.0
@@ -132,12 +132,12 @@ def processing_of(sensor: Path | None) -> Processing:
     Parameters
     ----------
     sensor : Path or None
-        Without one, or with that of a twin, the sleeve paper's processing.
+        Without a file, or with that of a twin, the processing is that of the sleeve paper.
 
     Raises
     ------
     ConfigError
-        If the drive is of several tones, which have no compressed pulse of one maximum.
+        If the drive has several tones, whose compressed pulse has no single maximum.
     """
     document = {} if sensor is None else read_document(sensor)
     if sensor is None or KIND in document:

@@ -26,11 +26,11 @@ MOST_REFLECTED = 0.98
 """Largest magnitude of the reflection coefficient of a rangefinder's face; the posterior's mean may
 be larger where repetitions of echoes hardly determine it."""
 DETERMINED = 0.5
-"""Standard deviation as a fraction of the prior's below which a parameter counts as determined."""
+"""Ratio of standard deviation to that of the prior below which a parameter is determined."""
 
 
 class Parameter(NamedTuple):
-    """A parameter in the unit of its name.
+    """A parameter of a twin, in the unit that its name states.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Parameter(NamedTuple):
 
     @property
     def determined(self) -> bool:
-        """Identifiability: True if the recordings determine the parameter better than the prior."""
+        """True if the standard deviation is below :data:`DETERMINED` times that of the prior."""
         if not isfinite(self.deviation):
             return False
         return self.prior is None or self.deviation < DETERMINED * self.prior
@@ -148,7 +148,7 @@ def _material_parameters(found: FittedSensor) -> Iterator[Parameter]:
 
 
 def rangefinder_of(found: FittedSensor) -> Rangefinder:
-    """Return the rangefinder that records as the sensor of a twin does."""
+    """Return the rangefinder with the parameters of a twin."""
     twin, rest, volt = found.twin, found.rest, 1 / found.per_volt
     band = twin.band
     face = complex(twin.value("face_real"), twin.value("face_imag"))
@@ -205,7 +205,7 @@ def in_toml(found: FittedSensor) -> str:
 
 
 def tube_length(found: FittedSensor) -> float:
-    """Return the length of the tube in m: stated, by the far end's echo, or beyond the closures."""
+    """Return the tube length in m: stated, from the far end's echo, or 5 cm beyond the closures."""
     if found.length is not None:
         return found.length
     if found.rest.length is not None:
@@ -236,7 +236,7 @@ def _origin(found: FittedSensor) -> Any:
 
 
 def deviations_of(found: FittedSensor) -> dict[str, float]:
-    """Return deviations of :class:`acoustube.inversion.Priors`, none below the scatter seen."""
+    """Return deviations of :class:`acoustube.inversion.Priors`, at least the observed scatter."""
     twin = found.twin
     return {
         "temperature": max(twin.deviation("temperature_offset"), 0.1),
@@ -288,7 +288,7 @@ def _presses(found: FittedSensor, material: Material) -> Any:
 
 
 def _clutter(found: FittedSensor) -> Any:
-    """Return the tube's irregularities as they were measured."""
+    """Return the measured reflection of the tube's irregularities."""
     places = MM * found.rest.places
     spacing = float(places[1] - places[0]) if len(places) > 1 else 1.0
     reflection = toml_array(float(f"{value:.3g}") for value in found.rest.reflectivity)
@@ -312,7 +312,7 @@ def _correlation(found: FittedSensor) -> Any:
 
 
 def time_zero_note(found: FittedSensor) -> str:
-    """Return a remark where the drive starts elsewhere than stated, or nothing."""
+    """Return a note if the drive does not start at time zero; empty otherwise."""
     late = found.twin.value("trigger")
     if abs(late) < 4e-5:
         return ""

@@ -23,16 +23,16 @@ from acoustube.runs.twin import FittedSensor, PressedState, read_recordings
 from acoustube.runs.twin_file import deviations_of, rangefinder_of, tube_length
 
 MEASURED = ("depth", "force")
-"""Labels of which a press must have one."""
+"""Labels of a press, at least one of which is required."""
 LABELS = ("true_distance", "diameter", *MEASURED)
 MOST_CYCLES = 50
-"""Cycles of a press that are inverted together."""
+"""Largest number of cycles of a press that are inverted together."""
 NEAR = 0.05
-"""Distance in m within which a contact is that of a label."""
+"""Largest distance in m between a contact and the label to which it is assigned."""
 SAME_TOOL = 0.1e-3
-"""Difference in m up to which diameters are those of one tool."""
+"""Largest difference in m between diameters of the same tool."""
 WRONG_BORE, OTHER_BORE = 0.03, 0.005
-"""Relative differences of the bores of twin and library above which is an error, and a note."""
+"""Relative differences of the bores of twin and library that cause an error, and a note."""
 
 
 def fitted_material(
@@ -54,7 +54,7 @@ def fitted_material(
     pressed : sequence of Path
         Files and folders.
     library : Path
-        Of the tools that press.
+        Library of the tools that press.
     untouched, options, pulse_at, report, check
         As of :func:`acoustube.runs.twin.fitted_sensor`.
 
@@ -94,7 +94,8 @@ def presses_of(
 ) -> Iterator[tuple[xr.Dataset, dict[str, float], float]]:
     """Yield the first cycles of each press, its labels, and the fraction of cycles done.
 
-    A press is a run of cycles of equal labels: more of them say no more of what these state.
+    A press is a run of consecutive cycles with equal labels. After the first :data:`MOST_CYCLES`,
+    further cycles add no information on the labelled quantities.
 
     Parameters
     ----------
@@ -126,7 +127,7 @@ def _check_bore(found: FittedSensor, known: Library, path: Path, report: Reporte
 
 
 def _tools(known: Library, diameter: float, path: Path) -> tuple[int, ...]:
-    """Return the numbers of the library's tools that a label may mean."""
+    """Return the indices of the library's tools of a diameter in m; all of them if it is nan."""
     if not np.isfinite(diameter):
         return tuple(range(len(known.tools)))
     found = tuple(
@@ -175,7 +176,7 @@ def _state(
 
 
 def _contact(inverted: Inversion, place: float) -> tuple[Contact | None, str]:
-    """Return the contact that a label means, and why its depth is not usable; empty if it is."""
+    """Return the contact of a label, and the reason why its depth is unusable; empty if usable."""
     likely = [one for one in inverted.contacts if one.probability > 0.5]
     if not likely:
         return None, "no contact is found in its echo"

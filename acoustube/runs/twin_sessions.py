@@ -1,4 +1,4 @@
-"""Sessions of one sensor: what stays and what wanders between the twins fitted to each."""
+"""Variation of a sensor's parameters between sessions, from a twin fitted to each session."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ COMPARED = {
     "temperature_offset_c": "temperature_bias", "gain_v": "gain", "send_v": "send",
     "noise_v": "noise", "offset_v": "offset", "young_modulus_mpa": None,
 }  # fmt: skip
-"""Parameters of twins, and those of the rangefinder that they are."""
+"""Parameters of twins, and the corresponding parameters of the rangefinder; None without one."""
 LOGARITHMS = ("resonance_khz", "quality_factor", "gain_v", "send_v", "noise_v")
-"""Parameters that are positive, and compared by their logarithms."""
+"""Positive parameters, which are compared by their logarithms."""
 CHANCE = 0.05
-"""Probability of a scatter as large by the deviations alone, below which a parameter wanders."""
+"""Significance level of the test whether a parameter varies between sessions (wanders)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Across:
-    """A parameter over sessions.
+    """Mean and variation of a parameter over sessions.
 
     Attributes
     ----------
@@ -47,10 +47,10 @@ class Across:
     mean, deviation : float
         Mean over sessions and its standard deviation.
     spread : float
-        Standard deviation between sessions beyond that of the fits, in the parameter's unit; of
-        those in :data:`LOGARITHMS` the deviation of the logarithm times the mean.
+        Standard deviation between sessions in excess of that of the fits, in the parameter's unit;
+        for :data:`LOGARITHMS` the standard deviation of the logarithm times the mean.
     wanders : bool
-        Whether the sessions differ by more than their deviations.
+        Whether the sessions differ significantly, at the level :data:`CHANCE`.
     """
 
     name: str
@@ -67,13 +67,14 @@ def across_sessions(name: str, values: Array, deviations: Array) -> Across:
     ----------
     name : str
     values, deviations : ndarray
-        Of each session, (n,).
+        Values and standard deviations of the sessions, (n,).
 
     Notes
     -----
-    Random effects: each session's value is that of the sensor plus a normal one of the session plus
-    the error of the fit. The variance between sessions is estimated by moments [1]_, and they are
-    said to differ where Cochran's Q exceeds the chi-squared distribution of n - 1 degrees.
+    Random-effects model: the value of a session is that of the sensor, plus a normal deviation of
+    the session, plus the error of the fit. The variance between sessions is estimated by moments
+    [1]_. They differ if Cochran's Q is significant by the chi-squared distribution with n - 1
+    degrees of freedom.
 
     References
     ----------
@@ -110,12 +111,12 @@ def recipe_settings(paths: Sequence[Path]) -> tuple[dict[str, Any], list[Across]
     settings : dict
         The rangefinder is that of the first file with the means over sessions.
     table : list of Across
-        What stays and what wanders; empty for one file.
+        Mean and variation of each parameter; empty for one file.
 
     Raises
     ------
     ConfigError
-        If one of several files is not that of a twin, or they are of different samplings.
+        If one of several files is not that of a twin, or they differ in sampling.
     """
     documents = [read_document(path) for path in paths]
     for path, document in zip(paths, documents, strict=True):
@@ -171,7 +172,7 @@ def _drawn(
     first: dict[str, Any],
     paths: Sequence[Path],
 ) -> dict[str, Any]:
-    """Return the means over sessions, and the deviations that sessions are drawn with."""
+    """Return the means over sessions, and the standard deviations with which sessions are drawn."""
     means: dict[str, float] = {}
     spread: list[tuple[str, float]] = []
     found: dict[str, Any] = {}
@@ -179,7 +180,7 @@ def _drawn(
     for one in table:
         own = COMPARED[one.name]
         if own == "temperature_bias":
-            # The bias is that for dry air, whose offset differs in moist air.
+            # The bias is defined for dry air; the offset in moist air differs.
             (own_offset,) = finite_numbers([first.get(one.name)], paths[0])
             moist = settings["rangefinder"].temperature_bias + own_offset
             means[own] = moist - one.mean
@@ -200,7 +201,7 @@ def _drawn(
 
 
 def _clutter(paths: Sequence[Path]) -> tuple[tuple[float, ...], float]:
-    """Return the mean irregularities, and the power in 1/m of what differs between sessions."""
+    """Return the mean irregularities, and the power in 1/m of their changes between sessions."""
     each = [np.array(twin_settings(path)["reflectors"]) for path in paths]
     n = min(len(one) for one in each)
     if n == 0:

@@ -31,16 +31,16 @@ class EndsContacts(NamedTuple):
     Attributes
     ----------
     contacts : list of (Contact, float)
-        With the misfit of the end that explains its echo better; 1 where both ends tell a contact
-        but contradict each other in place or depth.
+        Contacts, each with the smaller misfit of the ends that detect it; 1 or more where both
+        detect it but contradict each other in position or depth.
     misfit : float
-        The largest.
+        The largest of these misfits.
     fits : bool
-        Whether all contacts are told by an end whose echo is explained.
+        Whether each contact is detected by an end whose misfit is below the threshold.
     near : Inversion
-        Of the near end alone.
+        Inversion from the near end alone.
     far : (Inversion, float) or None
-        Of the far end alone, and the tube's length in m; None if there is only one end.
+        Inversion from the far end alone, and the tube's length in m; None if there is only one end.
     """
 
     contacts: list[tuple[Contact, float]]
@@ -50,10 +50,10 @@ class EndsContacts(NamedTuple):
     far: tuple[Inversion, float] | None = None
 
     def detection_limit(self, places: ArrayLike, tool: int = 0) -> Array:
-        """Return the limits of detection, at each place the lower one of the ends.
+        """Return the limits of detection, at each position the lower one of both ends.
 
-        Of the ends whose echo is explained, and of both where neither is. Parameters and result
-        are those of :meth:`acoustube.inversion.Inversion.detection_limit`.
+        Only ends with a misfit below the threshold count; both do if neither has. Parameters and
+        result are those of :meth:`acoustube.inversion.Inversion.detection_limit`.
         """
         at = np.asarray(places, float)
         if self.far is None:
@@ -68,7 +68,7 @@ class EndsContacts(NamedTuple):
 
 
 class EndsInverter:
-    """Inversion of recordings from one end of a tube, or of pairs of them from both.
+    """Inversion of recordings from one end of a tube, or of pairs of recordings from both ends.
 
     Parameters
     ----------
@@ -94,14 +94,14 @@ class EndsInverter:
         path, data, size, check
             As of :meth:`acoustube.runs.inversion.RecordingInverter.groups`.
         far : (Path, xarray.Dataset or ConfigError) or None
-            The recording of the same cycles from the far end, or why it cannot be read; None if
+            The recording of the same cycles from the far end, or the error of reading it; None if
             there is only one end.
 
         Raises
         ------
         ConfigError
-            If a recording is not one of such a sensor, the length of the tube is not stated, or
-            both recordings differ in their number of cycles.
+            If a recording does not match the sensor, the length of the tube is not stated, or both
+            recordings differ in their number of cycles.
         """
         here = self.near.groups(path, data, size, check)
         if far is None:
@@ -130,36 +130,36 @@ class EndsInverter:
             yield number, self._joined(one, two, length)
 
     def _joined(self, near: Inversion, far: Inversion, length: float) -> EndsContacts:
-        """Return the contacts that one or both ends tell."""
+        """Return the contacts that are detected from one end or from both."""
         known = self.near.tool_library, self.near.sensor.priors
         pairs = []
         for one in joined_contacts(near.contacts, far.contacts, length, *known):
             ends = [end for end, i in ((near, one.near), (far, one.far)) if i is not None]
             misfits = [end.misfit for end in ends]
-            # Ends that contradict each other explain nothing.
+            # Where the ends contradict each other, the contact counts as unexplained.
             pairs.append((one.contact, min(misfits) if one.agree else max(1.0, *misfits)))
         misfit = max((value for _, value in pairs), default=float("nan"))
         return EndsContacts(pairs, misfit, not misfit > MISFIT, near, (far, length))
 
 
 def limit_rows(path: Path, group: int, found: EndsContacts, library: Library) -> list[list[object]]:
-    """Return rows of :data:`LIMIT_COLUMNS`, from which depth and force on a contact is found.
+    """Return rows of :data:`LIMIT_COLUMNS`: the least detectable depth and force along the tube.
 
     Parameters
     ----------
     path : Path
-        Of the recording.
+        File of the recording.
     group : int
-        Number of its group of cycles.
+        Number of the group of cycles.
     found : EndsContacts
-        Of the group.
+        Contacts of the group.
     library : Library
 
     Returns
     -------
     list of list
-        For each tool and place, as :func:`acoustube.inversion.detection.limits_along`. Places
-        without a limit are left out.
+        A row for each tool and each position of :func:`acoustube.inversion.detection.limits_along`
+        that has a limit.
     """
     rows: list[list[object]] = []
     span = found.near.model.span

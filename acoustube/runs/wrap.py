@@ -16,7 +16,7 @@ from acoustube.sleeve import Helix, design
 from acoustube.sleeve.helix import HANDS
 
 NODES = 9
-"""Places along a tube at which its curvature is given; it varies by a third along a forearm."""
+"""Number of positions at which curvature is given; it varies by a third along a forearm."""
 FOREARM = "forearm_cm"
 SIZES = (
     ("length of the forearm", Number(3, 150, "cm", "under the sleeve")),
@@ -30,7 +30,7 @@ WINDING: dict[str, Any] = {
     "tube_diameter_mm": Number(1, 50, "mm", "outer"),
     "hand": Choice(tuple(HANDS)),
 }
-"""The options of ``acoustube sleeve`` that bend a tube."""
+"""Options of ``acoustube sleeve`` that determine the curvature of a tube."""
 LONGEST = 100.0
 """Longest tube in m."""
 
@@ -48,15 +48,15 @@ def read_wrap(table: Any, path: Path) -> Wrap:
     Parameters
     ----------
     table : mapping
-        ``forearm_cm``, ``loops`` or ``pitch_cm``, and if they differ from those of
-        ``acoustube sleeve`` ``lead_cm``, ``tube_diameter_mm`` and ``hand``.
+        ``forearm_cm``; ``loops`` or ``pitch_cm``; optionally ``lead_cm``, ``tube_diameter_mm`` and
+        ``hand``, with the defaults of ``acoustube sleeve``.
     path : Path
-        For messages.
+        File of the sensor, for messages.
 
     Raises
     ------
     ConfigError
-        If a name or a value is wrong, or the tube cannot be wound so.
+        If a name or a value is wrong, or the tube cannot be wound in this way.
     """
     if not isinstance(table, Mapping):
         raise ConfigError(f"{path}: wrap = {table!r} must be a section, written [wrap]")

@@ -78,7 +78,7 @@ def _side(axes: Axes, design: DesignGoal, candidate: Candidate) -> None:
     axes.text(
         middle + 0.6 * tool, outer + tool / 2, f"rod {tool:g} mm", color="#c1443c", fontsize=8
     )
-    for shift in (0, 0.5 * outer):  # a break
+    for shift in (0, 0.5 * outer):  # the lines of the break
         x = 0.3 * length + shift
         path = [x, x + 0.3 * outer, x - 0.3 * outer, x]
         height = [-0.9 * outer, -0.25 * outer, 0.25 * outer, 0.9 * outer]

@@ -24,11 +24,11 @@ def front_figure(
     Parameters
     ----------
     front : sequence of Candidate
-        No one of which is better than another.
+        Candidates none of which dominates another.
     named : sequence of (str, Candidate)
-        Those with a label.
+        Candidates with a label.
     reach : float
-        Reach in m that was asked for.
+        Required reach in m.
     """
     sheet = Figure(figsize=(8.0, 5.0), layout="constrained")
     axes = sheet.subplots()

@@ -34,7 +34,7 @@ def page_of(
     notes: Sequence[str],
     separation: float,
 ) -> str:
-    """Return the page as HTML that needs no other file.
+    """Return the page as self-contained HTML.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def page_of(
     notes : sequence of str
         Sentences on the validity of the results.
     separation : float
-        Distance of two presses in m.
+        Distance between two presses in m.
     """
     rows = "".join(
         f"<tr><th scope=row>{escape(one.name)}</th>"
@@ -67,7 +67,7 @@ def page_of(
 
 
 def _pairs(one: Recommended, separation: float) -> str:
-    """Return how two presses at once are detected and placed, as a sentence and a table."""
+    """Return the detection and location of two presses at once, as a sentence and a table."""
     if one.pairs is None:
         return ""
     detected, force = PERCENT * one.pairs.detection, PERCENT * np.median(one.pairs.force, axis=0)

@@ -23,9 +23,9 @@ from acoustube.reports.export.press import indentation_of, mesh_of, reached, set
 from acoustube.runs.sweep import store
 
 PARTS = 8
-"""Triangles along the edge of an element's face."""
+"""Number of triangles along the edge of an element's face."""
 SEAM = 1e-7
-"""Largest distance of a point in a symmetry plane from it, as a fraction of the size."""
+"""Largest distance of a point from the symmetry plane that it lies in, relative to the size."""
 TEXT = """\
 The air space of a pressed tube as closed surfaces, in mm, z along the tube, y up.
 
@@ -44,13 +44,13 @@ def write_surfaces(run: xr.Dataset, folder: Path, suffix: str) -> str:
     Parameters
     ----------
     run : xarray.Dataset
-        Of ``simulate`` or ``indent``.
+        Run of ``simulate`` or ``indent``.
     suffix : {"stl", "vtp"}
 
     Raises
     ------
     ConfigError
-        If the run was written by a version that made another mesh, or kept less.
+        If the run was written by a version with another mesh or fewer variables.
     """
     if "lumen_face" in run:
         points = run["inner_wall"].values.reshape(-1, 3)
@@ -127,16 +127,16 @@ def lumens(run: xr.Dataset) -> tuple[list[trimesh.Trimesh], str]:
     Parameters
     ----------
     run : xarray.Dataset
-        Of ``indent``.
+        Run of ``indent``.
 
     Returns
     -------
     surfaces : list of trimesh.Trimesh
-        Closed, pointing outwards. Of a round tube straightened along its bottom line, between short
-        ends of straight tube, as :func:`acoustube.lumen.pressed_part` makes it; of an imported
-        wall, and of a tube that is bent too sharply to be straightened, as it lies.
+        Closed, with outward normals. The lumen of a round tube is straightened along its bottom
+        line, between short ends of straight tube, by :func:`acoustube.lumen.pressed_part`. That of
+        an imported wall, or of a tube bent too sharply to be straightened, is left as it lies.
     what : str
-        Which of these, in words.
+        Which of these applies, in words.
     """
     if settings_of(run).tube.surface is None:
         indentation = indentation_of(run)
@@ -169,7 +169,7 @@ def closed_wall(mesh: Mesh, position: Array) -> trimesh.Trimesh:
     Parameters
     ----------
     mesh : Mesh
-        Any, halved or not, whose inner wall is open at the ends of the tube alone.
+        Mesh, halved or not, whose inner wall is open only at the ends of the tube.
     position : array of shape (n_nodes, 3)
         Positions of its nodes in m.
     """
@@ -219,7 +219,7 @@ def _surface(points: Array, faces: Index) -> trimesh.Trimesh:
 
 
 def _save(surface: trimesh.Trimesh, path: Path) -> None:
-    """Write a surface in mm, as surfaces are read."""
+    """Write a surface in mm, the unit in which surfaces are read."""
     points = MM * surface.vertices
     if path.suffix == ".stl":
         bare = trimesh.Trimesh(points, surface.faces, process=False)
@@ -236,7 +236,7 @@ def write_meshes(run: xr.Dataset, folder: Path) -> str:
     Parameters
     ----------
     run : xarray.Dataset
-        Of ``simulate`` or ``indent``.
+        Run of ``simulate`` or ``indent``.
     """
     rows = reached(run)
     depths, displacements = run["indentation_depth"].values, run["node_displacement"].values

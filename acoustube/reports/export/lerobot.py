@@ -47,7 +47,7 @@ def write_episodes(data: xr.Dataset, folder: Path) -> str:
     Notes
     -----
     ``observation.signal`` is the cycle as a fraction of half the ADC's full scale, -1 to 1;
-    ``observation.temperature`` what the board reports, in degC; ``action`` the label
+    ``observation.temperature`` is the reported temperature in degC; ``action`` are the labels
     (:data:`ACTION`). Columns ``press``, ``tube`` and ``session`` of ``meta/episodes`` identify an
     episode, so that episodes can be split by them.
     """

@@ -21,13 +21,13 @@ NAMES = {
     "iterations": "newton_iterations", "residual": "newton_residual",
     "press_force": "contact_force", "energy": "elastic_energy",
 }  # fmt: skip
-"""Variables of a run that are called otherwise in an :class:`Indentation`."""
+"""Variables of a run, by the attributes of an :class:`Indentation` with other names."""
 COINCIDENT_DISTANCE = 1e-9
 """Largest distance in m between coincident nodes."""
 
 
 def settings_of(run: xr.Dataset) -> Mechanics:
-    """Return the settings of the tube and the press."""
+    """Return the settings of the tube and the press of a run."""
     return configured(json.loads(run.attrs["configuration"]), Mechanics)
 
 
@@ -44,7 +44,7 @@ def mesh_of(run: xr.Dataset) -> Mesh:
     Parameters
     ----------
     run : xarray.Dataset
-        Of ``simulate`` or ``indent``.
+        Run of ``simulate`` or ``indent``.
     """
     points, none = run["node_position"].values, np.zeros((0, 8), int)
     faces: dict[str, Any] = {
@@ -67,7 +67,7 @@ def indentation_of(run: xr.Dataset) -> Indentation:
     Parameters
     ----------
     run : xarray.Dataset
-        Of ``simulate`` or ``indent``.
+        Run of ``simulate`` or ``indent``.
 
     Raises
     ------

@@ -23,7 +23,7 @@ COEFFICIENTS = ["s_real", "s_imag", "settled", "error"]
 
 
 def write_tables(data: xr.Dataset, folder: Path) -> str:
-    """Write a table for each dimension, of all variables along it alone.
+    """Write a table for each dimension, with all variables that have this dimension alone.
 
     A scattering matrix has one table, with a row for each of its coefficients.
 
@@ -38,7 +38,7 @@ def write_tables(data: xr.Dataset, folder: Path) -> str:
             continue
         columns = _columns(data, dimension)
         if set(columns) <= {dimension}:
-            continue  # all that follows it follows another dimension too
+            continue  # all variables along it have another dimension too
         table = pd.DataFrame({name: variable.values for name, variable in columns.items()})
         write(folder / f"{stem}.csv", table.to_csv(index=False))
         known += [_described(stem, name, variable) for name, variable in columns.items()]

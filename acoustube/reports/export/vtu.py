@@ -40,9 +40,9 @@ def write(mesh: Mesh, depths: Array, displacements: Array, folder: Path) -> Path
     ----------
     mesh : Mesh
     depths : array of shape (n_depths,)
-        In m.
+        Depths in m.
     displacements : array of shape (n_depths, n_nodes, 3)
-        In m.
+        Displacements of the nodes in m.
     folder : path
         Folder to write, created if missing.
 
@@ -59,7 +59,7 @@ def write(mesh: Mesh, depths: Array, displacements: Array, folder: Path) -> Path
         name = f"press-{number:04d}.vtu"
         values = numpy_to_vtk(displacement, deep=True)
         values.SetName("displacement")
-        grid.GetPointData().AddArray(values)  # replaces that of the depth before
+        grid.GetPointData().AddArray(values)  # replaces that of the previous depth
         write_file(folder / name, in_xml(grid))
         entries.append(f'<DataSet timestep="{MM * depth:.6g}" file="{name}"/>')
     collection = folder / "press.pvd"
@@ -73,7 +73,7 @@ def write(mesh: Mesh, depths: Array, displacements: Array, folder: Path) -> Path
 
 
 def in_xml(shape: vtkPointSet) -> str:
-    """Return the content of a VTU or VTP file: VTK itself does not survive a full disk."""
+    """Return the content of a VTU or VTP file; VTK's own writer does not survive a full disk."""
     of_grid = isinstance(shape, vtkUnstructuredGrid)
     writer = vtkXMLUnstructuredGridWriter() if of_grid else vtkXMLPolyDataWriter()
     writer.SetInputData(shape)

@@ -39,7 +39,7 @@ def figure(table: xr.Dataset, estimates: xr.Dataset) -> Figure:
 
 
 def draw_estimates(axes: Axes, table: xr.Dataset, estimates: xr.Dataset, target: str) -> None:
-    """Draw estimates with their stated deviations over the truth."""
+    """Draw estimates with their stated standard deviations over the truth."""
     words = _axis(target)
     truth, estimate, deviation = _scaled(table, estimates, target)
     known = np.flatnonzero(np.isfinite(truth) & np.isfinite(estimate))

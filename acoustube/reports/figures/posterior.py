@@ -1,4 +1,4 @@
-"""Figure of an inversion: the echo, its explanation, and the posterior of each contact."""
+"""Figure of an inversion: the recorded and modelled echo, and the posterior of each contact."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def _draw_echo(axes: Axes, found: Inversion) -> None:
 
 
 def _draw_limit(axes: Axes, found: Inversion, library: Library) -> None:
-    """Draw the contacts' depths, and those at which one more would not have been found."""
+    """Draw the contacts' depths, and the limit of detection of a further contact."""
     tool = found.contacts[0].tool if found.contacts else 0
     deepest = MM * max(one.depth[-1] for one in library.tools)
     places, depths = limits_along(partial(found.detection_limit, tool=tool), found.model.span)

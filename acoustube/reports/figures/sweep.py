@@ -27,8 +27,9 @@ def figure(cases: xr.Dataset) -> Figure:
     Parameters
     ----------
     cases : xarray.Dataset
-        Of a sweep, from :func:`acoustube.open_dataset`. Where more varies than tool and depth, the
-        echoes are those of the most frequent combination, the curves medians with their range.
+        Cases of a sweep, from :func:`acoustube.open_dataset`. If other settings vary too, the
+        echoes are those of the most frequent combination, and the curves are medians with the
+        range of all cases.
     """
     cases = chosen(cases)
     tools = list(by_tool(cases))

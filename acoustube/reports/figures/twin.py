@@ -12,7 +12,7 @@ from acoustube.reports.figures.run import ENVELOPE, RETURN
 from acoustube.runs.twin import FittedSensor
 
 AROUND = (-0.2e-3, 1.6e-3)
-"""Times in s about the arrival of an echo that are drawn."""
+"""Ends in s of the drawn interval about the arrival of an echo."""
 
 
 def twin_figure(found: FittedSensor) -> Figure:
@@ -35,7 +35,7 @@ def _draw_closure(axes: Axes, found: FittedSensor, i: int, legend: bool) -> None
     recorded = twin.data.values[i]
     simulated = twin.model(*twin.point).value[i]
     flight = 2 * place / SPEED
-    # The samples of the band between the points of the baseband, by its Fourier series.
+    # The baseband is interpolated between its samples by its Fourier series.
     time = flight + np.linspace(*AROUND, 1200)
     for values, colour, label, style in (
         (recorded, ENVELOPE, "recorded", "-"), (simulated, RETURN, "simulated", "--"),

@@ -41,16 +41,16 @@ from acoustube.waves.spectral import SpectralScattering
 ADVICE = "repeat the command acoustube sweep to recompute it"
 """What to do about a damaged file."""
 MOST_CASES = 400
-"""Largest number of cases of a page; of more, some places are omitted."""
+"""Largest number of cases of a page; beyond it, some positions are omitted."""
 UNTOUCHED_REACH = 0.08
-"""Drawn length of an untouched tube to each side, in m."""
+"""Drawn length of an untouched tube on each side of the press's position, in m."""
 TOOL = ("shape", "indenter_mm", "yaw_deg", "offset_mm")
 
 Key = tuple[str, float, str]
 
 
 class Found(NamedTuple):
-    """A case of a sweep, and the file that it is in."""
+    """A case of a sweep, and the file that contains it."""
 
     name: str
     config: Config
@@ -63,8 +63,8 @@ def read_sweep(folder: Path) -> Content:
     Returns
     -------
     Content
-        A group for each tool, place and combination of other settings. Of more than `MOST_CASES`
-        cases those at evenly spaced places.
+        A group for each tool, position and combination of other settings. If there are more than
+        `MOST_CASES` cases, those at evenly spaced positions.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def _cases(folder: Path) -> Iterator[Found]:
     seen: set[str] = set()
     for path in sorted(folder.glob(PATTERNS["press"])):
         check_result(path, ADVICE)
-        # Without xarray, which takes a tenth of a second per file.
+        # Not by xarray, which takes a tenth of a second per file.
         with h5py.File(path) as file:
             names, settings = (file[name].asstr()[:] for name in ("press", "configuration"))
         for name, text in zip(names, settings, strict=True):
@@ -107,7 +107,7 @@ def _cases(folder: Path) -> Iterator[Found]:
 
 
 def _grouped(cases: Sequence[Found]) -> dict[Key, list[Found]]:
-    """Return cases by indenter, place and other settings, the depth rising."""
+    """Return cases by indenter, position and other settings, in order of increasing depth."""
     groups: dict[Key, list[Found]] = {}
     for case in sorted(cases, key=_order):
         groups.setdefault(_key(case.config), []).append(case)
@@ -130,7 +130,7 @@ def _key(config: Config) -> Key:
 
 
 def limited(groups: dict[Key, list[Found]]) -> tuple[dict[Key, list[Found]], list[str]]:
-    """Limit the number of cases by omitting places evenly."""
+    """Limit the number of cases by omitting positions evenly."""
     places = sorted({place for _, place, _ in groups})
     count = sum(map(len, groups.values()))
     if count <= MOST_CASES:
@@ -203,7 +203,7 @@ def _untouched(settings: SISettings) -> tuple[Shape, Along, float]:
 
 
 def _dense(radius: float) -> Any:
-    """Return points of a straight tube's outer wall near the press."""
+    """Return dense points of a straight tube's outer wall near the press."""
     angle, z = np.meshgrid(np.linspace(0, np.pi, 181), np.linspace(-2, 2, 41) * radius)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=-1).reshape(-1, 3)
 

@@ -46,11 +46,11 @@ class Signal:
     distance, pressure : array of shape (n,)
         Pressure as a fraction of its maximum, that of the send pulse.
     envelope_distance, envelope : array of shape (m,)
-        As a fraction of the send pulse.
+        Envelope as a fraction of the send pulse.
     peak_distance, peak : array of shape (k,)
-        All peaks.
+        Distances and heights of all peaks of the envelope.
     estimate, amplitude : float
-        Of the highest peak; nan where there is none.
+        Distance and height of the highest peak; nan where there is none.
     probe : float
         Position of the probe.
     source_end : str
@@ -78,13 +78,13 @@ class Spectrum:
     Attributes
     ----------
     frequency, reflection : array of shape (n,)
-        In Hz; amplitude of the reflected plane wave over that of the incident one.
+        Frequency in Hz; amplitude of the reflected plane wave over that of the incident one.
     settled : array of bool, shape (n,)
         True where the signal had decayed.
     cut_ons : dict of float
         Cut-on of each higher mode in Hz, by name.
     carrier : float
-        Of the pulse, in Hz.
+        Carrier of the pulse in Hz.
     """
 
     frequency: Array
@@ -101,11 +101,11 @@ class State:
     Attributes
     ----------
     depth, force, height, width, area : float
-        Of the press, and of the lumen under it.
+        Depth and force of the press, and sizes of the lumen under it.
     shape : Shape or None
-        None if it is unknown.
+        Pressed tube; None if it is unknown.
     tool_height : float
-        Of the indenter's lowest point.
+        Height of the indenter's lowest point.
     along : Along or None
     signal : Signal or None
     spectrum : Spectrum or None
@@ -134,9 +134,9 @@ class Group:
     states : sequence of State
     solid : Tool
     position, length : float
-        Of the press and of the tube in m; nan where there is no place.
+        Position of the press and length of the tube in m; nan where there is no position.
     bore_area, outer_diameter : float
-        In m2 and m.
+        Cross-section of the bore in m2, and outer diameter of the tube in m.
     floor : float
         Height of the floor in m; nan without a rigid one.
     """
@@ -163,7 +163,7 @@ class Content:
         Heading, and the sentences under it.
     groups : sequence of Group
     settings : mapping
-        By section, those that all groups share.
+        Settings that all groups share, by section.
     origin : mapping of str to str
         Origin of the data.
     notes : sequence of str
@@ -205,11 +205,11 @@ def signal_of(
     Parameters
     ----------
     time, pressure, envelope : array of shape (n,)
-        In s, in any unit, and as a fraction of the send pulse.
+        Time in s, pressure in any unit, and envelope as a fraction of the send pulse.
     peak_times, peaks : array of shape (k,)
-        Likewise.
+        Times in s of the peaks of the envelope, and their heights likewise.
     place : callable
-        Returns the distance in m that an echo at a time comes from.
+        Function that returns the distance in m of an echo from its time in s.
     faded : float
         Time in s at which the send pulse has decayed.
     **others
@@ -230,19 +230,19 @@ def signal_of(
 
 
 def drawn(values: Array, keep: Sequence[int] | NDArray[np.int64] = ()) -> NDArray[np.int64]:
-    """Return the numbers of the samples to draw: a decimation that keeps the extremes.
+    """Return the indices of the samples to draw: a decimation that keeps the extremes.
 
     Parameters
     ----------
     values : array of shape (n,)
     keep : sequence of int
-        Samples to draw in any case.
+        Indices of samples to draw in any case.
 
     Returns
     -------
     array of int
-        Rising: all where there are few; otherwise the first, the least and the greatest of each of
-        `SAMPLES` / 3 equal stretches.
+        Rising indices: all where there are few samples; otherwise those of the first, the least
+        and the greatest sample of each of `SAMPLES` / 3 equal intervals.
     """
     n = len(values)
     if n <= SAMPLES:

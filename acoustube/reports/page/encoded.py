@@ -1,4 +1,4 @@
-"""A page's content as JSON: arrays once each, in base64, in the units that people read."""
+"""A page's content as JSON: each array once, in base64, in display units."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from acoustube.reports.page.content import Content, Group, Signal, Spectrum, Sta
 from acoustube.reports.scenes import tube as tube_scene
 
 FINEST = 32767
-"""Steps into which a coordinate is divided to each side."""
+"""Number of steps of a quantised coordinate to each side of zero."""
 
 COLOURS = {
     "wall": tube_scene.WALL, "lumen": tube_scene.LUMEN, "cut": tube_scene.SECTION,
@@ -44,7 +44,7 @@ class Arrays:
     def real(self, values: Any) -> int:
         """Store an array in single precision, and return its index.
 
-        What exceeds its range, as in a damaged file, becomes infinite and is not drawn.
+        Values beyond its range, as in a damaged file, become infinite and are not drawn.
         """
         with np.errstate(over="ignore"):
             return self._keep(np.asarray(values, "<f4").ravel(), "f4", 1.0)
@@ -85,7 +85,7 @@ def encoded(content: Content) -> str:
         "arrays": arrays.kept,
     }
     text = json.dumps(page, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
-    # Nothing in it can end the element that it stands in.
+    # No text of it can end the script element that contains it.
     return text.replace("<", "\\u003c")
 
 

@@ -35,12 +35,12 @@ RUN = "run.nc"
 REACH = 4.0
 """Drawn length of the tube to each side of the press, in its outer diameters."""
 PLACES = 201
-"""Places along the tube at which the lumen of an increment is measured."""
+"""Number of positions along the tube at which the lumen of an increment is measured."""
 
 
 @contextmanager
 def reading_run(folder: Path) -> Iterator[xr.Dataset]:
-    """Open the run of a folder, for the time of its use.
+    """Open the run of a folder as a context.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def reading_run(folder: Path) -> Iterator[xr.Dataset]:
     Raises
     ------
     ConfigError
-        If the file is damaged or something else, also where its use shows that.
+        If the file is damaged or of another kind, also if that is found only during its use.
     """
     path, advice = folder / RUN, "write one with either command"
     failure = "is damaged or no run of acoustube simulate or indent"
@@ -69,7 +69,7 @@ def read_run(folder: Path) -> Content:
     Raises
     ------
     ConfigError
-        If the file is damaged or something else.
+        If the file is damaged or of another kind.
     """
     with reading_run(folder) as data:
         simulated = "source_end" in data.dims
@@ -111,7 +111,7 @@ def _missing(data: xr.Dataset, simulated: bool) -> dict[str, str]:
 
 
 def _rows(data: xr.Dataset) -> list[int]:
-    """Return the depths that were reached."""
+    """Return the indices of the depths that were reached."""
     there = np.isfinite(data["contact_force"].values)
     if "converged" in data:
         there &= data["converged"].values.astype(bool)

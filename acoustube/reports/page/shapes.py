@@ -24,7 +24,7 @@ class Shape:
     Attributes
     ----------
     points : array of shape (n, 3)
-        In m.
+        Points of the surfaces in m.
     faces : dict of arrays of shape (m, 3)
         Triangles of the ``inner`` and the ``outer`` wall and of the ``cut`` between them, where
         x >= 0: seen from the open side, z runs to the right.
@@ -45,7 +45,7 @@ class Tool:
     Attributes
     ----------
     points : array of shape (n, 3)
-        In m; its half x >= 0.
+        Points of its half x >= 0 in m.
     faces : array of shape (m, 3)
     outline : array of shape (k, 2)
         Its lower side (x, y) in the plane z = 0, in m.
@@ -121,7 +121,7 @@ def underside(press: Indenter, x: Array, z: Array) -> Array:
     ----------
     press : Indenter
     x, z : array
-        In m.
+        Positions across and along the tube in m.
     """
     radius = press.diameter / 2
     x = x - press.x
@@ -187,7 +187,7 @@ def _rod(radius: float, yaw: float, top: float, reach: float) -> list[Array]:
         return np.stack([x, y, z], axis=-1)
 
     start = across * np.tan(yaw)
-    # One that is thick and turned far is longer, or the cut would be beyond its end.
+    # A thick rod turned by a large angle is longer, or the cut would be beyond its end.
     cut, end = at(start), at(np.full_like(across, max(reach, 1.2 * start.max())))
     # The flat top is a sheet of its own, so that its edges are sharp.
     return [np.stack([cut, end])[:, :-1], np.stack([cut, end])[:, -2:], _cap(cut), _cap(end)]
@@ -217,9 +217,9 @@ def _turned(radius: Array, y: Array, x: float) -> list[Array]:
     radius, y : array of shape (n,)
         Along its side, in m.
     x : float
-        Of its axis, in m.
+        Position of its axis in m.
     """
-    # Each circle has its points where x >= 0, all of them in one place where that is nowhere.
+    # The points of each circle have x >= 0; a circle without such points becomes a single point.
     share = np.divide(-x, radius, out=np.full_like(radius, -np.sign(x)), where=radius > 0)
     reach = np.arccos(np.clip(share, -1, 1))
     if (reach > 0).any():

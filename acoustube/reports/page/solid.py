@@ -18,9 +18,9 @@ from acoustube.lumen import TRIANGLES_PER_EDGE, profile
 from acoustube.reports.page.shapes import Shape
 
 PLANE_TOLERANCE = 1e-6
-"""Distance from a plane up to which a node lies in it, in lengths of the mesh."""
+"""Largest distance of a node from a plane in which it lies, relative to the mesh's length."""
 FACE_SUBDIVISIONS = 3
-"""Edges of triangles along the edge of an element's face, as it is drawn."""
+"""Number of triangle edges along the edge of an element's face, as it is drawn."""
 SECTION_OFFSET = 1e-7
 """Axial position in m of the section at the press: nodes lie exactly in z = 0."""
 
@@ -31,7 +31,7 @@ class Solid:
     Parameters
     ----------
     nodes : array of shape (n_nodes, 3)
-        Of the part that is modelled, in m: the whole tube, or where x >= 0, z >= 0 or both.
+        Nodes of the modelled part in m: the whole tube, or the part with x >= 0, z >= 0 or both.
     elements : array of shape (n_elements, 20 or 10)
         Hexahedra or tetrahedra.
     """
@@ -108,7 +108,7 @@ class Solid:
         return Shape(np.concatenate(points), faces, *outlines)
 
     def area(self, displacement: Array, z: Array) -> Array:
-        """Return the lumen's cross-section in m2 at places z in m, the press at zero."""
+        """Return the lumen's cross-section in m2 at positions z in m, the press at zero."""
         sampling, triangles = self.lumen
         at = np.abs(z) if self.halved[1] else z
         position = sampling @ (self.nodes + displacement)

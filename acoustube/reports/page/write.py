@@ -32,7 +32,7 @@ def read(where: str | Path) -> Content:
     Raises
     ------
     ConfigError
-        If it is something else, or holds no result yet.
+        If it is of another kind, or contains no result yet.
     """
     PATH.check("where", where)
     folder = Path(where).parent if Path(where).name == RUN else Path(where)

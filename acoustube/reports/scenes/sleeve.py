@@ -39,13 +39,13 @@ class Picture:
     detection_range : ndarray
         Range of detection along each tube in m, (n_tubes, 2).
     outer_diameter : float
-        Of the tubes in m.
+        Outer diameter of the tubes in m.
     contacts : tuple of (int, float)
         Tube, counted from 0, and distance in m.
     deviation : float
-        Of a contact's distance in m; so much of the tube to each side is marked.
+        Standard deviation of a contact's distance in m, the length marked on each side of it.
     markers : ndarray
-        In m, (n, 3); may be empty and may hold nan.
+        Markers on the arm in m, (n, 3); may be empty and may contain nan.
     estimates : tuple of (int, float)
         Tube and distance in m of estimated contacts.
     """
@@ -71,7 +71,7 @@ def draw(picture: Picture, path: Path) -> bool:
     Returns
     -------
     bool
-        Whether there is a picture: not where VTK cannot draw on this machine.
+        False if there is no picture, because VTK cannot draw on this machine.
     """
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -167,7 +167,7 @@ def _lead(tube: Helix) -> Array:
     """Return points of a lead that leaves the sleeve along its first loop's tangent."""
     start, ahead = tube.point([0.0, 1e-4 * tube.length])
     back = (start - ahead) / np.linalg.norm(ahead - start)
-    # It is drawn short, and bent away from the arm: where it really goes is the wearer's choice.
+    # It is drawn short, and bent away from the arm: its actual path is the wearer's choice.
     s = np.linspace(0, 1, 30)[:, None]
     drawn = min(tube.lead, 0.3 * tube.length)
     return np.asarray(start + drawn * (s * back + 0.7 * s**2 * np.array([0, 0, -1.0])))
@@ -189,7 +189,7 @@ def _side(picture: Picture) -> Array:
         for i, distance in picture.contacts
     ]
     mean = np.sum([place / np.linalg.norm(place) for place in places], axis=0) + np.zeros(2)
-    # Contacts on opposite sides have no common one.
+    # Contacts on opposite sides have no common side.
     if np.linalg.norm(mean) < 0.1:
         mean = np.array([0.94, 0.34])
     return np.array([*mean / np.linalg.norm(mean), 0.0])

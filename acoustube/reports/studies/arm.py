@@ -54,20 +54,20 @@ def rod_on_a_bend(diameter: float, curvature: float) -> float:
     Parameters
     ----------
     diameter : float
-        Of the rod across a tube in m.
+        Diameter in m of the rod across a tube.
     curvature : float
-        Of the tube, bent away from the rod, in 1/m.
+        Curvature in 1/m of the tube, which is bent away from the rod.
 
     Returns
     -------
     float
-        In m.
+        Diameter in m.
 
     Notes
     -----
-    At a distance z along the tube the rod has left it by z^2/2 (2/d + kappa), as a rod of the
-    diameter 1 / (1/d + kappa/2) has left a straight one: to second order in z, the
-    approximation of Hertz's contact theory.
+    At a distance z along the tube the gap between rod and tube is z^2/2 (2/d + kappa). It equals
+    that between a straight tube and a rod of the diameter 1 / (1/d + kappa/2), to second order in
+    z, as in Hertz's contact theory.
     """
     return 1 / (1 / diameter + curvature / 2)
 
@@ -84,7 +84,7 @@ def processing_of(tube: int) -> Processing:
 
 
 def by_depth(folder: Path) -> dict[float, tuple[xr.Dataset, ModalScattering]]:
-    """Return the presses of a sweep, each once, by their depth in m, in air of the studies."""
+    """Return the presses of a sweep, each once, by their depth in m, in the air of the studies."""
     speed = air_at(TEMPERATURE).sound_speed
     return {
         round(float(cases["depth"].values[0]), 7): (
@@ -104,11 +104,11 @@ def bent_around(
     ----------
     helix : Helix
     place : float or None
-        None for a tube without a press.
+        Distance of the press; None for a tube without a press.
     like : ModalScattering
-        Of a press, for its band and modes.
+        Scattering of a press, whose band and modes are used.
     flattened : bool
-        Whether the bends flatten the tube as much as a free one.
+        Whether the tube is flattened in the bends as a free tube would be.
     """
     return windings(
         helix, air_at(TEMPERATURE), like.frequency, [] if place is None else [place],
@@ -132,16 +132,16 @@ def cycles_of(
     ----------
     matrix : ModalScattering
     place : float
-        In m.
+        Distance of the press in m.
     bends : sequence of PlacedScatterer
         From :func:`bent_around`; none for a straight tube.
     tube : int
-        Of the sleeve.
+        Index of the tube of the sleeve.
     n_cycles : int
     name : object
         Seed of the noise.
     labels : mapping of str to float, optional
-        Of all cycles.
+        Labels of all cycles.
 
     Returns
     -------
@@ -164,7 +164,7 @@ def estimates_of(cycles: xr.Dataset, tube: int) -> xr.Dataset:
 
 
 def over_skin(helix: Helix, there: ArrayLike, here: ArrayLike) -> Array:
-    """Return the distance over the skin between two places of a tube.
+    """Return the distance over the skin between two positions on a tube.
 
     Parameters
     ----------
@@ -175,16 +175,16 @@ def over_skin(helix: Helix, there: ArrayLike, here: ArrayLike) -> Array:
     Returns
     -------
     array
-        In m, of the unrolled cone; nan where one is not on the sleeve.
+        Distance in m on the unrolled cone; nan where a position is not on the sleeve.
 
     Notes
     -----
-    An error of a whole loop along the tube is one of a pitch over the skin.
+    An error of a whole loop along the tube is an error of one pitch over the skin.
     """
     z = np.stack([helix.height(there), helix.height(here)])
     turn = np.mod(np.diff(helix.angle(z), axis=0)[0] + np.pi, 2 * np.pi) - np.pi
     slant = np.hypot(1.0, helix.taper)
-    # The cone unrolls to a sector: to its tip it is r / sin, and it turns by sin times as much.
+    # The cone unrolls to a sector of radius r / sin, whose angle is sin times that on the cone.
     sine = helix.taper / slant
     across = np.sqrt(np.prod(helix.radius_at(z), axis=0)) * 2 * _half_chord(turn, sine)
     return np.hypot(slant * np.diff(z, axis=0)[0], across)
@@ -203,7 +203,7 @@ def sleeve_inverter(library: Library, tube: int, like: ModalScattering) -> Recor
     library : Library
     tube : int
     like : ModalScattering
-        Of a press, for its band and modes.
+        Scattering of a press, whose band and modes are used.
     """
     helix = sleeve()[tube]
     return inverter_of(

@@ -28,7 +28,7 @@ CYCLES = 5
 UNTOUCHED = 400
 BAND = np.array([10e3, 90e3])
 FALSE_ALARMS = 0.01
-"""Largest fraction of untouched cycles with an echo, to which the least prominence is raised. The
+"""Largest fraction of untouched cycles with a false echo; the least prominence is raised to it. The
 sleeve paper tuned its factor by hand, to minimise false-positive detections."""
 FACTORS = (2.8, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0)
 
@@ -94,7 +94,7 @@ def calibrated(tube_seed: int = 0) -> tuple[Calibration, float]:
     Parameters
     ----------
     tube_seed : int
-        Of the tube's clutter.
+        Seed of the tube's clutter.
 
     Returns
     -------

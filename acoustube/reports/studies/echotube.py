@@ -32,26 +32,26 @@ from acoustube.waves.modes import axial_wavenumber
 BORES = (4.0, 6.0, 8.0, 10.0, 20.0)
 """Bores in mm."""
 REACHES = {4.0: 75.0, 6.0: 178.0, 8.0: 245.0, 10.0: 315.0}
-"""Farthest places that were located, in cm: the middle where a range is published."""
+"""Largest located distances in cm, by bore in mm: the middle where a range is published."""
 WIDEST_REACH = 390.0
-"""Farthest place of the widest bore in cm: there its tube ended."""
+"""Largest located distance in the widest bore in cm, where its tube ended."""
 DEAD_ZONES = {4.0: 15.0, 6.0: 15.0, 8.0: 15.0, 10.0: 20.0, 20.0: 45.0}
-"""Published dead zones in cm."""
+"""Published dead zones in cm, by bore in mm."""
 REFERENCE_BORE = 8.0
-"""Bore in mm whose reach gives the dynamic range for all."""
+"""Bore in mm whose published reach gives the dynamic range for all bores."""
 CARRIER, TEMPERATURE, LENGTH = 42e3, 20.0, 6.0
 LOCATED_ERROR = 0.02
 """Error in m up to which a closure counts as located."""
 DISTANCES = np.arange(0.05, 0.60, 0.01)
 SEARCH_START = 0.10
-"""Smallest distance in m of the search for a closure: nearer is the send pulse itself."""
+"""Smallest distance in m of the search for a closure; the send pulse itself is nearer."""
 NEARER, GAPS = 0.6, (0.2, 0.3, 0.4, 0.5)
-"""Place of the nearer of two presses in m, and distances to the other."""
+"""Distance of the nearer of two presses, and distances from it to the other, in m."""
 PRESSED, FEW_PRESSED = (7.5e-3, 8e-3), (6e-3, 8e-3)
-"""Depths in m of the nearer, which must let sound pass, and the farther, which closes the lumen; in
-a quick study among the flat table's."""
+"""Depths in m of the nearer press, which must transmit sound, and of the farther one, which closes
+the lumen; in a quick study depths of the flat table."""
 PEAK_TOLERANCE = 0.1
-"""Largest distance in m of a press's peak from its place."""
+"""Largest distance in m of a press's peak from the press."""
 DECIBEL = 20 / np.log(10)
 
 
@@ -101,9 +101,10 @@ def reach(bore_mm: float, dynamic: float, *, coupled: bool) -> float:
     ----------
     bore_mm : float
     dynamic : float
-        Largest loss in dB at which it is detected.
+        Largest loss in dB at which a closure is detected.
     coupled : bool
-        Whether sound enters and leaves a bore narrower than the reference in proportion to area.
+        Whether sound that enters and leaves a bore narrower than the reference is proportional to
+        its area.
     """
     narrower = min(bore_mm / REFERENCE_BORE, 1.0)
     lost = -2 * DECIBEL * np.log(narrower**2) if coupled else 0.0
@@ -111,9 +112,10 @@ def reach(bore_mm: float, dynamic: float, *, coupled: bool) -> float:
 
 
 def dead_zone(bore_mm: float) -> float:
-    """Return the distance in m from which a closure of the tube is located to 2 cm.
+    """Return the distance in m beyond which closures of the tube are located to within 2 cm.
 
-    The default rangefinder without noise and clutter; its calibrated shift left out.
+    The rangefinder is the default one without noise and clutter. The constant shift of distances
+    is removed, as by a calibration.
     """
     clear = dataclasses.replace(Rangefinder(), noise=0.0, clutter=0.0)
     cycles = [
@@ -168,7 +170,7 @@ def _shift() -> float:
 
 
 def both(ranging: signals.Ranging, places: Sequence[float]) -> list[float]:
-    """Return the error in m of the highest peak within 10 cm of each place; nan without one."""
+    """Return the error in m of the highest peak within 10 cm of each press; nan without one."""
     delay = ranging.echoes.times - ranging.send_time
     distance = np.asarray(signals.distance(delay, TEMPERATURE))
     found = []

@@ -39,15 +39,15 @@ SECOND_PLACES, SECOND_FEW = "20:160:35", "40:110:70"
 SECOND_DEPTHS = [f"{depth:.4g}" for depth in np.linspace(0.4, 8.0, 60)]
 CYCLES, FEWER_CYCLES = 50, 5
 PLACE_STRIDE, DEPTH_STRIDE = 10, 3
-"""Strides of the places of the first dataset and of the depths of the second that are inverted."""
+"""Strides of the inverted positions of the first dataset and inverted depths of the second."""
 NEAR, BEYOND = 0.60, 1.95
-"""Ranges of distance in m of the smallest reliable depth: up to the first, beyond the second. The
+"""Limits in m of the ranges of the smallest reliable depth: up to the first, beyond the second. The
 sleeve paper states 7 mm beyond 1.95 m, and 2.5 mm without a distance; up to 0.6 m its amplitudes
 rise with depth."""
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:
-    """Press at many places and depths, locate the presses, and estimate their forces."""
+    """Press at many positions and depths, locate the presses, and estimate their forces."""
     first = recorded(scale.level, scale, work, report)
     second = recorded_again(scale.level, scale, work, report)
     coarser = None
@@ -119,7 +119,7 @@ def recorded(
     work : Path
     report : Reporter
     few : bool
-        At every fifth place, with five cycles of each press.
+        Whether to record every fifth position only, and five cycles of each press.
 
     Returns
     -------
@@ -152,7 +152,7 @@ def echo_features_of(work: Path) -> FeatureSettings:
 def recordings_inverted(
     work: Path, scale: Scale, report: Reporter
 ) -> tuple[xr.Dataset, xr.Dataset]:
-    """Invert some recordings of the study's folder, once both datasets are there.
+    """Invert some recordings of the study's folder, which contains both datasets.
 
     Returns
     -------
@@ -275,7 +275,7 @@ def localisation_rows(tables: Tables) -> list[Row]:
 def force_rows(
     table: xr.Dataset, estimates: xr.Dataset, model: Model, inversion: xr.Dataset | None
 ) -> list[Row]:
-    """Return the flat row of Table II."""
+    """Return the row of Table II for the flat table."""
     found = estimation.errors(table["force"].values, estimates["force"].values)
     other = None if inversion is None else ranged.force_errors(inversion)
     constant = float(np.median(table["force"].values))

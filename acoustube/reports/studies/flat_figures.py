@@ -18,7 +18,7 @@ from acoustube.base.units import CM, MM
 from acoustube.reports.studies.ranged import FALSE_POSITIVE_ERROR, found_distance, located
 
 BIN = 0.05
-"""Width in m of the maps' bins: the sleeve paper's 38 over the tube."""
+"""Width in m of the maps' bins: the sleeve paper has 38 over the tube."""
 
 
 def distances(table: xr.Dataset) -> Figure:
@@ -50,7 +50,7 @@ def over_map(table: xr.Dataset, values: NDArray[Any]) -> tuple[Array, Array, Arr
     places : array of shape (n + 1,)
         Edges in m.
     depths : array of shape (m,)
-        In m.
+        Depths in m.
     mean : array of shape (m, n)
         nan where there is none.
     """

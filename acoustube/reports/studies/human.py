@@ -34,11 +34,11 @@ from acoustube.runs.config import Config, configured
 from acoustube.waves.scattering import ModalScattering
 
 STATES = np.array([1, 3, 5]) / 6
-"""Fractions of a level's width at which a drifting force is taken."""
+"""Fractions of the range of a level at which the drifting force is sampled."""
 CYCLES = (14, 13, 13)
 """Number of cycles at each of these forces: 2 s in all."""
 SHIFT = -0.10
-"""Offset in m of the places on the second tube from those on the first."""
+"""Offset in m of the positions on the second tube from those on the first."""
 ARM = {"layer_mm": 20.0, "layer_mpa": 0.06}
 """Layer of soft tissue: 20 mm of 60 kPa; see :func:`ground`."""
 SOFTER = {"layer_mm": 20.0, "layer_mpa": 0.03}
@@ -50,7 +50,7 @@ RIGID_GRID = tuple(np.arange(0.5, 8.01, 0.5) / MM)
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:
-    """Press a sleeve on a soft arm by three levels of force, and find the presses on it."""
+    """Press a sleeve on a soft arm at three levels of force, and locate the presses."""
     table, presses, cycles = recorded(scale.level, scale, work / "arm", report)
     coarser = None
     if scale.coarser is not None:
@@ -110,16 +110,16 @@ def ground(layer_mm: float | None = None, layer_mpa: float | None = None) -> Con
     Parameters
     ----------
     layer_mm, layer_mpa : float, optional
-        Thickness and Young's modulus of its tissue; it is rigid without.
+        Thickness in mm and Young's modulus in MPa of its tissue; rigid if None.
 
     Notes
     -----
-    A forearm's tissue between skin and bone is some 20 mm thick, and its modulus no constant:
-    indentation of limbs gives from under 1 to 58 kPa at first, rising steeply with compression
-    [1]_; the muscle of the seat 62 kPa under 5 N and 440 kPa under 30 N [2]_; a forearm stiffens
-    when its muscles act [3]_. 60 kPa suits muscle under the forces of these
-    presses. Columns that do not hold each other, which the layer is made of, are as stiff under the
-    tube's footprint of 10 by 40 mm as a half space of 0.6 times their modulus.
+    A forearm's tissue between skin and bone is some 20 mm thick. Its modulus is not constant:
+    indentation of limbs gives initial values from under 1 to 58 kPa, which rise steeply with
+    compression [1]_; gluteal muscle has 62 kPa under 5 N and 440 kPa under 30 N [2]_; a forearm
+    stiffens when its muscles act [3]_. 60 kPa suits muscle under the forces of these presses. The
+    layer consists of independent columns. Under the tube's footprint of 10 by 40 mm they are as
+    stiff as a half space of 0.6 times their modulus.
 
     References
     ----------
@@ -157,7 +157,7 @@ def recorded(
     presses : dict
         See :func:`acoustube.reports.studies.arm.by_depth`.
     cycles : list of xarray.Dataset
-        Some of the middle of each press, in the order of the table.
+        Cycles from the middle of each press, in the order of the table.
 
     Notes
     -----
@@ -231,7 +231,7 @@ def averaged(parts: list[xr.Dataset]) -> xr.Dataset:
 
 
 def substrates(*, quick: bool = False) -> dict[str, ByForce]:
-    """Return presses by force on several grounds, by their names."""
+    """Return presses by force on several grounds, by the names of the grounds."""
     paths = {"arm of 60 kPa": press_runs.pressed(ground(**ARM), GRID)}
     if not quick:
         paths["arm of 30 kPa"] = press_runs.pressed(ground(**SOFTER), GRID)
@@ -291,7 +291,7 @@ def _force_rows(inversion: xr.Dataset) -> list[Row]:
 
 
 def _counted(tables: Tables, low: float, words: str) -> Row:
-    """Return the number of located presses of a level."""
+    """Return the row with the number of located presses of a level."""
     return compared_row(
         lambda cycles: float((ranged.located(cycles) & (cycles["level"].values == low)).sum()),
         tables, quantity=f"located presses, {words}",

@@ -29,15 +29,15 @@ from acoustube.runs.libraries.plan import tool_plans
 from acoustube.waves import PlacedScatterer
 
 GROUP = 5
-"""Cycles of a press that are inverted together."""
+"""Number of cycles of a press that are inverted together."""
 UNTOUCHED = 200
-"""Cycles without contact, from which the inversion learns the clutter of the tube."""
+"""Number of cycles without contact, from which the clutter of the tube is estimated."""
 SEED = 11
 """Random seed of these cycles."""
 TOLERANCE = 0.005
-"""Relative error of the scattering that a library interpolates, the default of its command."""
+"""Largest relative error of interpolated scattering, the default of ``acoustube library``."""
 DEPTHS = "0.25:8:0.31"
-"""Depths in mm of the libraries, which are none of the presses' but the last."""
+"""Depths in mm of the libraries; only the last one is also a depth of presses."""
 PLACE_AXIS, FORCE_AXIS = (1e-3, 100.0), (1e-2, 1000.0)
 """Ranges of the figure's errors in cm and in per cent."""
 
@@ -78,20 +78,20 @@ def inverter_of(
     rangefinder: Rangefinder | None = None,
     wrap: Wrap | None = None,
 ) -> RecordingInverter:
-    """Return the inversion of the recordings of one tube, by a rangefinder that is known.
+    """Return the inversion of the recordings of one tube, with known parameters of the rangefinder.
 
     Parameters
     ----------
     library : Library
     untouched : sequence of PlacedScatterer
-        Of the tube without presses: its bends.
+        Scatterers of the tube without presses: its bends.
     session_seed, tube_seed : int
         See :func:`acoustube.ranging.record`.
     rangefinder : Rangefinder, optional
-        Of the recordings, the default one if not given. The mean error of its thermometer is
-        known too, as from a calibration with closures.
+        Rangefinder of the recordings, the default one if not given. The mean error of its
+        thermometer is known too, as from a calibration with closures.
     wrap : Wrap, optional
-        Of a wrapped tube.
+        Curvature of a wrapped tube.
     """
     known = rangefinder or Rangefinder()
     free = record(
@@ -118,8 +118,8 @@ def inverted_table(
     -------
     xarray.Dataset
         A row for each recording along ``cycle``: the labels, the ``features`` with ``distance``
-        alone, as of :func:`acoustube.estimation.feature_table`, and ``estimated_force`` in N; of
-        the most probable contact, nan where none is found.
+        alone, as of :func:`acoustube.estimation.feature_table`, and ``estimated_force`` in N, both
+        of the most probable contact; nan where none is detected.
     """
     total = len(recordings)
     with watched_interrupts() as check, report.progress(check) as show:
@@ -147,11 +147,11 @@ def compared_figures(
     table : xarray.Dataset
         With the distances of the highest peak.
     inversion : xarray.Dataset or None
-        From :func:`inverted_table`; no figure without.
+        From :func:`inverted_table`; None for no figure.
     forces : (array_like, array_like), optional
         True forces in N, and those of the force network.
     pressed : xarray.Dataset, optional
-        Inversion with the forces, if it is another one.
+        Inversion that gives the forces, if it is not `inversion`.
     """
     if inversion is None:
         return {}
@@ -185,8 +185,9 @@ def errors_figure(
     Parameters
     ----------
     places, forces : mapping of str to (array_like, array_like)
-        Truth and estimate in m and in N, by the name of the estimator; nan where none is found,
-        which counts as a larger error than any. The axis of forces is left out without these.
+        Truth and estimate in m and in N, by the name of the estimator. An estimate of nan, where no
+        contact is detected, counts as a larger error than any. Without forces their axis is
+        omitted.
     """
     given: list[tuple[str, tuple[float, float], Mapping[str, Array]]] = [
         ("absolute error of the distance (cm)", PLACE_AXIS,

@@ -120,17 +120,17 @@ def recorded(
     scale : Scale
     work : Path
     shapes : tuple of str
-        Of :data:`SHAPES`.
+        Shapes from :data:`SHAPES`.
     report : Reporter
 
     Returns
     -------
     estimates : dict of xarray.Dataset
-        By shape; as of :func:`acoustube.estimation.feature_table`.
+        Estimates by shape, as of :func:`acoustube.estimation.feature_table`.
     cycles : list of xarray.Dataset
         The first cycles of each press.
     matrix : ModalScattering
-        Of the shallowest press.
+        Scattering matrix of the shallowest press.
     """
     helix = sleeve()[TUBE]
     over = {
@@ -252,7 +252,7 @@ def force_rows(tables: Tables, network: Model) -> list[Row]:
 
 
 def shape_rows(tables: dict[str, xr.Dataset]) -> list[Row]:
-    """Return the effect of the wrap and of a flattened tube on the highest peaks."""
+    """Return the effects of wrapping and of flattening the tube on the highest peaks."""
     straight = peaks(tables["straight"])
     rows = []
     for shape, words in (("wrapped", "wrapped"), ("flattened", "wrapped and flattened")):

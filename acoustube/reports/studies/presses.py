@@ -48,7 +48,7 @@ def swept(
     """
     given = {
         "method": ["spectral"], "mesh": [level.mesh],
-        # Of the march, which computes the lumens that the spectral solver cannot take.
+        # Of the time-domain solver, for lumens that the spectral solver cannot represent.
         "resolution": [str(level.resolution)],
     }  # fmt: skip
     plan = load_plan(None, {**given, **over})
@@ -60,7 +60,7 @@ def swept(
 
 
 def matrices(folder: Path) -> Iterator[tuple[xr.Dataset, ModalScattering]]:
-    """Yield the scattering of each press of a sweep, with the cases that have it."""
+    """Yield the cases of each press of a sweep with their scattering matrix."""
     for path in files_of(folder):
         cases, matrix = store.read(path)
         if matrix is not None:

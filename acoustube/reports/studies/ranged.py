@@ -19,7 +19,7 @@ FALSE_POSITIVE_ERROR = 0.25
 FIRST_DATASET_DEPTH = 0.9e-3
 """Smallest depth in m of the flat table's first dataset."""
 DEEP = 6.5e-3
-"""Depth in m from which the sleeve paper states the errors of deep presses apart."""
+"""Depth in m from which the sleeve paper states the errors of deep presses separately."""
 RELIABLE_FRACTION = 0.5
 """Fraction of located cycles above which a contact is reliable."""
 
@@ -30,7 +30,7 @@ def distance_errors(table: xr.Dataset) -> Errors:
 
 
 def force_errors(table: xr.Dataset) -> Errors:
-    """Return the errors of the forces of an inversion in N, where it finds a contact."""
+    """Return the errors of the forces of an inversion in N, where it detects a contact."""
     return estimation.errors(table["force"].values, table["estimated_force"].values)
 
 
@@ -58,9 +58,10 @@ def false_positives(table: xr.Dataset) -> NDArray[np.bool_]:
 
 
 def shallowest(table: xr.Dataset, nearest: float, farthest: float) -> float:
-    """Return the smallest depth in m from which on most cycles in a range are located.
+    """Return the smallest depth in m such that most cycles of this and larger depths are located.
 
-    Of all places in the range together; nan if the deepest presses are not.
+    All positions from `nearest` to `farthest` in m count together. The result is nan if most cycles
+    of the deepest presses are not located.
     """
     place = table["true_distance"].values
     inside = table.isel(cycle=(place >= nearest) & (place <= farthest))
@@ -92,11 +93,11 @@ def measure_rows(
     ours : Errors
     why : str
     scale : float
-        Of that unit to the errors' own.
+        Factor from the unit of the errors to that of the report.
     published : sequence of float or None
-        In the unit of the report.
+        Published median, RMSE and IQR in the unit of the report.
     coarser, inversion : Errors, optional
-        On the coarser level, and by waveform inversion.
+        Errors on the coarser level, and by waveform inversion.
     """
     return [
         Row(

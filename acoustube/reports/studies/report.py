@@ -59,7 +59,7 @@ class Scale:
         A few presses on the coarse level alone, without waveform inversion, as a test; its numbers
         are not accurate.
     workers : int, Workers or None
-        Processes; as many as there are cores with None. Or those of the study before.
+        Number of processes, one per core with None; or the pool of the previous study.
     """
 
     quick: bool = False
@@ -88,7 +88,7 @@ class Row:
     published : float or None
         None where nothing is published.
     coarser : float or None
-        Ours on a coarser mesh and grid; None where neither matters, or it was not computed.
+        Computed on a coarser mesh and grid; None where neither matters, or it was not computed.
     inversion : float or None
         By waveform inversion in place of the sleeve paper's processing; None where it has no such
         number.
@@ -142,7 +142,7 @@ class Tables(NamedTuple):
 
 
 def compared_row(measure: Callable[[xr.Dataset], float], tables: Tables, **words: Any) -> Row:
-    """Return the row of a measure of the tables that there are."""
+    """Return the row of a measure, evaluated for each table that exists."""
     ours, coarser, inversion = tables.measured(measure)
     return Row(ours=ours, coarser=coarser, inversion=inversion, **words)
 
@@ -155,11 +155,11 @@ class Study:
     ----------
     title : str
     text : str
-        Paragraphs with empty lines between them: what was done, what was assumed, what simulation
-        cannot know.
+        Paragraphs with empty lines between them: what was done, what was assumed, and what the
+        simulation does not include.
     rows : sequence of Row
     figures : mapping of str to matplotlib.figure.Figure
-        By their captions.
+        Figures by their captions.
     """
 
     title: str

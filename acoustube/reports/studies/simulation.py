@@ -32,9 +32,8 @@ from acoustube.reports.studies.simulation_figures import figures
 
 DEPTHS, FEW_DEPTHS = "0.5:8:0.5", "3:6:3"
 LOSSY = {"losses": ["on"], "frequency_khz": ["10", "20", "42"], "length_cm": ["40", "100"]}
-"""Settings of the sweep with losses, of lower carriers too. Their pulses of 11 cycles, 38 cm long
-at 10 kHz, need the longer
-tube; one scattering matrix serves all."""
+"""Settings of the sweep with losses, also at lower carriers. Their pulses of 11 cycles, 38 cm long
+at 10 kHz, need the longer tube; one scattering matrix serves all."""
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:

@@ -20,12 +20,12 @@ from acoustube.waves.modes import cut_on_frequency
 from acoustube.waves.scattering import ModalScattering
 
 RODS = {"10": (3.03, 1.22), "25": (2.95, 1.92), "35": (2.51, 1.64)}
-"""Published mean absolute error of the distance in cm and its deviation, by diameter in mm."""
+"""Published mean and standard deviation of absolute errors in cm, by the rod's diameter in mm."""
 TRAPPED_AFTER_S = 0.4e-3
-"""Time in s after the direct echo's middle from which sound was trapped: the pulse lasts 0.26 ms,
-its reflection by the source end comes 0.12 ms later."""
+"""Time in s after the middle of the direct echo from which sound counts as trapped: the pulse lasts
+0.26 ms, and its reflection by the source end arrives 0.12 ms later."""
 DEFAULT = settings_in_si(Config())
-"""Settings of the sweeps, but for those that vary."""
+"""Settings of the sweeps, except those that vary."""
 CARRIER, PROBE = DEFAULT.pulse.frequency, DEFAULT.probe
 """Carrier in Hz, and position of the probe in m."""
 SOUND_SPEED = DEFAULT.air.sound_speed

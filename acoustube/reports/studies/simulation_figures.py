@@ -45,7 +45,7 @@ def figures(
     low : xarray.Dataset
         Cases of the 1 m tube at 10, 20 and 42 kHz, with losses.
     carried : dict
-        Power by mode, of :func:`acoustube.reports.studies.simulation_cases.carried_power`.
+        Power by mode, from :func:`acoustube.reports.studies.simulation_cases.carried_power`.
     """
     return {
         "Sections of the tube at the press, at 2, 4, 6 and 8 mm (columns; rods as rows). The top "

@@ -25,9 +25,9 @@ RATE = Rangefinder().cycle_rate
 SPEED = 0.05
 """Speed of a swipe in m/s."""
 START, SWIPE_DURATION = 0.40, 8.0
-"""Start of a swipe in m, and its duration in s."""
+"""Distance in m at which a swipe starts, and its duration in s."""
 PAIR, PAIR_DURATION = (0.60, 0.80), 2.0
-"""Places of two presses in m, and their duration in s."""
+"""Distances of two simultaneous presses in m, and their duration in s."""
 FORCES = (4.3, 7.0)
 """Forces in N of the nearer press, and of the farther one or the swipe."""
 NEARER_FORCES, FARTHER_FORCES, GAPS = (4.3, 5.0, 5.7), (6.3, 7.0, 7.7), (0.2, 0.25, 0.3, 0.4)
@@ -39,7 +39,7 @@ CANDIDATE_RATIO = 0.06
 """Least height of a candidate echo, as a fraction of the highest: with 0.12 a press behind another
 is missed, with 0.03 a hard one has twice as many ghost echoes."""
 TRACKING = TrackingSettings(deviation=0.015)
-"""Settings of the tracker; the deviation includes the delays of echoes by trapped sound."""
+"""Settings of the tracker; the standard deviation includes delays of echoes by trapped sound."""
 
 
 class Track(NamedTuple):
@@ -48,13 +48,13 @@ class Track(NamedTuple):
     Attributes
     ----------
     times : array of shape (cycle,)
-        In s.
+        Times of the cycles in s.
     true : array of shape (cycle, contact)
-        Places in m.
+        True distances in m.
     candidates : list of array
-        Of each cycle, the places of all echoes in m.
+        Distances of all echoes of each cycle in m.
     contacts : list
-        Of each cycle, the confirmed ones; see :class:`acoustube.sleeve.ContactTracker`.
+        Confirmed contacts of each cycle; see :class:`acoustube.sleeve.ContactTracker`.
     seconds : array of shape (cycle,)
         Processor time of processing and tracking.
     """
@@ -80,7 +80,7 @@ def swiped(
 
     Notes
     -----
-    The tube is straight: on a wrap a moving press would need the bends around each of its places.
+    The tube is straight: on a wrap a moving press would need the bends around each position.
     """
     light, hard = (_of_force(presses, force) for force in FORCES)
     share = 0.25 if quick else 1.0
@@ -94,7 +94,7 @@ def swiped(
 def resolved_pairs(
     presses: Mapping[float, tuple[Any, ModalScattering]], *, quick: bool
 ) -> NDArray[np.bool_]:
-    """Return the mask of the pairs that are resolved as two presses, each near its place.
+    """Return the mask of the pairs that are resolved as two presses, each near its true position.
 
     Returns
     -------
@@ -120,12 +120,12 @@ def resolved_pairs(
 def _of_force(
     presses: Mapping[float, tuple[Any, ModalScattering]], force: float
 ) -> ModalScattering:
-    """Return the scattering of the press whose force is nearest to one in N."""
+    """Return the scattering of the press whose force is nearest to a given one in N."""
     return min(presses.values(), key=lambda press: abs(float(press[0]["force"]) - force))[1]
 
 
 def _followed(matrices: Sequence[ModalScattering], true: Array, times: Array) -> Track:
-    """Record presses at places (cycle, contact), find their echoes and track the contacts."""
+    """Record presses at distances (cycle, contact), detect their echoes and track the contacts."""
     candidates, contacts, seconds = [], [], []
     tracker = ContactTracker(TRACKING)
     known: signals.Tracker | None = None

@@ -21,7 +21,7 @@ from acoustube.runs.opening import open_dataset
 from acoustube.runs.training import DISPLAY_UNITS
 
 CYCLE_STRIDE = 10
-"""Stride of the cycles used: those of a press differ by noise alone."""
+"""Stride of the cycles used; those of a press differ only by noise."""
 
 
 def rows(
@@ -36,7 +36,7 @@ def rows(
     Parameters
     ----------
     work : Path
-        The flat study's, with the cycles of both datasets.
+        Folder of the flat study, with the cycles of both datasets.
     settings : FeatureSettings
     detected : array of bool of shape (cycle,)
         Mask of the cycles of the second dataset in which the sleeve paper's processing detects an

@@ -15,7 +15,7 @@ CELLS_PER_WAVELENGTH = 8
 """Least number of cells per wavelength of the wave stage."""
 
 BAND_WIDTH = 3.83
-"""Half width of the pulse's band at -70 dB over its carrier frequency, times its cycles."""
+"""Half width of a pulse's band at -70 dB relative to its carrier, times its number of cycles."""
 MOST_CELLS = 50_000_000
 """Largest number of cells of the wave stage, which takes some 15 GB of memory."""
 
@@ -86,7 +86,7 @@ def check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
 def check_position(
     tube: TubeSettings, indenter_mm: float, position: float, waves: WaveSettings
 ) -> None:
-    """Raise if the bent part of the press reaches the probe plane or the far end."""
+    """Raise if the part of the tube bent by the press reaches the probe plane or the far end."""
     reach = pressed_reach(tube.outer_diameter_mm, indenter_mm) / MM_PER_CM
     reach += CLEARANCE * tube.outer_diameter_mm / MM_PER_CM
     nearest = _round_up(waves.probe_cm + reach)
@@ -116,12 +116,12 @@ def grid_cells(
     resolution: int,
     method: str,
 ) -> float:
-    """Return the number of grid cells in the box around the bore that is marched.
+    """Return the number of cells of the FDTD grid, a box around the bore.
 
     Parameters
     ----------
     bore, outer_diameter, indenter_diameter, tube_length : float
-        In one unit, whichever it is.
+        Lengths in the same unit, whichever it is.
     resolution : int
         Cells across the bore.
     method : {"full", "scattering", "spectral"}
@@ -136,7 +136,7 @@ def check_resolution(tube: TubeSettings, indenter_mm: float, waves: WaveSettings
     """Raise if the grid is too coarse for the sound, or too large."""
     bore, highest = tube.inner_diameter_mm, waves.frequency_khz
     words = "the carrier"
-    if waves.method != "full":  # it follows the pulse's whole band
+    if waves.method != "full":  # scattering is computed over the pulse's whole band
         highest *= 1 + BAND_WIDTH / waves.cycles
         words = "the pulse's highest frequency"
     wavelength_mm = sound_speed(waves.temperature_c) / highest
@@ -191,7 +191,7 @@ def check_pulse(tube: TubeSettings, waves: WaveSettings) -> None:
 
 def check_lowpass(tube: TubeSettings, waves: WaveSettings, lowpass: float) -> None:
     """Raise if the low-pass passes the carrier, or is slower than the recording."""
-    # Rectifying doubles the carrier; two octaves above the cut-off it is down by 48 dB.
+    # Rectification doubles the carrier; two octaves above the cut-off it is attenuated by 48 dB.
     highest = waves.frequency_khz / 2
     record_ms = _record_ms(tube, waves)
     # The filter continues the record at both ends by three periods of the cut-off.

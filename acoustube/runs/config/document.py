@@ -30,7 +30,7 @@ def load_config(
     kind: type[Settings] = Config,  # type: ignore[assignment]
     **overrides: Any,
 ) -> Settings:
-    """Build the settings from the defaults, then a file, then single values.
+    """Build the settings from the defaults, a file and single values, the later overriding.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def configured(
     for name, value in overrides.items():
         if value is not None:
             values[section_of(name)][name] = value
-    # From the folder that the caller is in; those of the file are already absolute.
+    # Relative to the working directory; paths from the file are already absolute.
     _make_absolute(values, Path.cwd())
     wanted = [field.name for field in dataclasses.fields(kind)]
     return kind(**{name: SECTIONS[name](**values[name]) for name in wanted})

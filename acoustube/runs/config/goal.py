@@ -17,16 +17,16 @@ from acoustube.sleeve.ovalisation import kinks
 from acoustube.tube import Tube
 
 MOST_RANGEFINDERS = 1000
-"""Combinations of transducer, quality factor, bandwidth, rate, bits and ends that are tried."""
+"""Largest number of combinations of transducer, quality factor, bandwidth, rate, bits and ends."""
 MOST_SAMPLES = 20000
-"""Samples of a cycle."""
+"""Largest number of samples of a cycle."""
 LONGEST_PULSE = 5e-3
-"""Longest drive in s: the spectra of longer ones are finer than the frequencies of a design."""
+"""Longest drive in s: the frequency step of a design does not resolve the spectra beyond it."""
 TRANSDUCERS = "resonant", "loudspeaker"
 WIDEST_CHIRP = 1.6
-"""Largest bandwidth of a chirp in its carriers: a little less than the inversion can take."""
+"""Largest bandwidth of a chirp relative to its carrier, a little less than the inversion takes."""
 LEAST_RATE = 2.3
-"""Lowest sampling rate over the carrier frequency."""
+"""Lowest ratio of sampling rate to carrier frequency."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,9 +44,9 @@ class Goal(Section):
     tools_mm : tuple of float
         Diameters of rods in mm.
     separation_cm : float
-        Distance in cm of two presses that are to be resolved.
+        Distance in cm between two presses that are to be resolved.
     place_mm : float
-        Largest acceptable median standard deviation of place, in mm.
+        Largest acceptable median standard deviation of a contact's distance, in mm.
     support : str
         ``table``: the tube is held on rigid ground; ``arm``: it rests on a soft layer.
     layer_mm, layer_mpa : float
@@ -56,12 +56,12 @@ class Goal(Section):
     hardness_percent : float
         Relative standard deviation of the wall's modulus, in per cent.
     temperature_c : float
-        Of the air.
+        Air temperature in degC.
     model_um : float
-        Standard deviation of depths by errors of the forward model; that between two meshes is
-        50 um.
+        Standard deviation of depths in um due to errors of the forward model; between two meshes
+        it is 50 um.
     average : int
-        Cycles whose mean is inverted.
+        Number of cycles whose mean is inverted.
     """
 
     reach_m: float = setting(2.0, Number(0.2, 10, "m", "length over which presses are resolved"))
@@ -91,12 +91,12 @@ class Goal(Section):
 
     @property
     def separation(self) -> float:
-        """Distance of two presses in m."""
+        """Distance between two presses in m."""
         return self.separation_cm / CM
 
     @property
     def place_deviation(self) -> float:
-        """Largest acceptable median standard deviation of place, in m."""
+        """Largest acceptable median standard deviation of a contact's distance, in m."""
         return self.place_mm / MM
 
     @property
@@ -121,11 +121,11 @@ class Goal(Section):
 
     @property
     def asked(self) -> tuple[float, float, float, float]:
-        """Reach, distance of two presses, deviation of place and nearest press, all in m."""
+        """Reach, distance between two presses, deviation of place and nearest press, all in m."""
         return self.reach_m, self.separation, self.place_deviation, self.nearest_m
 
     def samples_at(self, rate: float) -> int:
-        """Return the samples at a rate in Hz of a cycle that holds echoes from the tube's end."""
+        """Return the number of samples, at a rate in Hz, up to an echo from the tube's end."""
         return int(rate * (2 * self.reach_m / 340 + 4e-3))
 
 
@@ -171,7 +171,7 @@ class Variables(Section):
     def chirp_carrier(self, bandwidth: float) -> tuple[float, float]:
         """Return the lowest and highest carrier in Hz of a drive of a bandwidth in Hz.
 
-        A chirp lies within the range of the carriers; a carrier that is fixed is its middle.
+        A chirp lies within the range of the carriers; a fixed carrier is its centre frequency.
         """
         low, high = self.carrier
         return (low + bandwidth / 2, high - bandwidth / 2) if high > low else (low, high)
@@ -204,7 +204,7 @@ class DesignGoal:
     variables: Variables = dataclasses.field(default_factory=Variables)
 
     def __post_init__(self) -> None:
-        """Check what concerns several settings."""
+        """Check the settings against each other."""
         goal, free = self.goal, self.variables
         if goal.nearest_m >= goal.reach_m:
             raise ConfigError(
@@ -287,7 +287,8 @@ def read_goal(path: Path) -> DesignGoal:
     Parameters
     ----------
     path : Path
-        What it omits has the defaults of :class:`Goal` and :class:`Variables`.
+        The file; settings that it omits have the defaults of :class:`Goal` and
+        :class:`Variables`.
 
     Raises
     ------

@@ -19,9 +19,9 @@ class Numbers:
     Parameters
     ----------
     each : Number
-        Rule of each.
+        Rule of each number.
     span : bool
-        Whether they are the ends of a range: one number, or two that do not fall.
+        Whether they are the ends of a range: one number, or two of which the second is not less.
     """
 
     each: Number
@@ -39,7 +39,7 @@ class Numbers:
         return f"{kind} within {self.each.allowed}"
 
     def check(self, name: str, value: Any) -> tuple[float, ...]:
-        """Return the values as a tuple, of a range both ends.
+        """Return the values as a tuple; of a range, both ends.
 
         Raises
         ------
@@ -68,7 +68,7 @@ class Words:
     Parameters
     ----------
     each : Choice
-        Rule of each.
+        Rule of each word.
     """
 
     each: Choice

@@ -56,12 +56,12 @@ class TubeSettings(Section):
 
     @property
     def hardness_shore_a(self) -> float:
-        """Hardness of the wall, where no shear modulus is given."""
+        """Shore A hardness of the wall, where no shear modulus is given."""
         return DEFAULT_SHORE_A if self.shore_a is None else self.shore_a
 
 
 class _Depth(Number):
-    """A depth of press; zero is the untouched tube."""
+    """Rule of an indentation depth; zero is the untouched tube."""
 
     @property
     def allowed(self) -> str:

@@ -1,9 +1,8 @@
 """Settings in SI units: the one place where user settings are converted.
 
-Everything behind this module computes with :class:`SIPress` and :class:`SISettings`, in which every
-default is filled in. Temperatures stay in degC and the relative humidity in per cent, as
-:func:`acoustube.air.air_at` takes them. Unlike the rest of this package, the module imports the
-stages.
+All computations use :class:`SIPress` and :class:`SISettings`, in which every default is filled in.
+Temperatures stay in degC and the relative humidity in per cent, as :func:`acoustube.air.air_at`
+takes them. Unlike the rest of this package, the module imports the stages.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ class SIPress:
     Attributes
     ----------
     tube : Tube
-        Of a wall from a file only the moduli count.
+        The tube; for a wall from a file only its moduli are used.
     surface : str or None
         File of a wall's surface in place of the round tube.
     indenter : Indenter
@@ -73,15 +72,15 @@ class SISettings(SIPress):
         Distance of the press from the source end in m.
     pulse : Pulse
     temperature : float
-        Of the air in degC.
+        Air temperature in degC.
     humidity : float
-        Relative, of the air, in per cent.
+        Relative humidity of the air in per cent.
     pressure : float
-        Of the air at rest, in Pa.
+        Static pressure of the air in Pa.
     lossy : bool
-        Whether the wall and the air take energy from the sound.
+        Whether there are losses at the wall and in the air.
     method : {"full", "scattering", "spectral"}
-        March the whole tube, or the pressed part only.
+        Solver: FDTD of the whole tube, or scattering of the pressed part by FDTD or spectrally.
     resolution : int
         Grid cells across the bore.
     source_end : {"release", "absorbing"}
@@ -89,7 +88,7 @@ class SISettings(SIPress):
     probe : float
         Distance of the probe plane from the source end in m.
     cutoff : float
-        Of the envelope's low-pass filter in Hz.
+        Cut-off of the envelope's low-pass filter in Hz.
     prominence : float
         Least prominence of an echo, as a fraction of the send pulse.
     """

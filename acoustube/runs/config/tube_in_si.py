@@ -1,4 +1,4 @@
-"""The tube of settings in SI units, without the stages of press and sound."""
+"""Conversion of a tube's settings to SI units, without importing the stages of press and sound."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ MILLI, CENTI, KILO, MEGA = 1e-3, 1e-2, 1e3, 1e6
 
 
 def tube_in_si(settings: TubeSettings) -> Tube:
-    """Return the tube of settings."""
+    """Return the tube that settings describe, in SI units."""
     return Tube(
         inner_diameter=MILLI * settings.inner_diameter_mm,
         wall_thickness=MILLI * settings.wall_mm,

@@ -17,7 +17,7 @@ from acoustube.runs.config.goal import LEAST_RATE, DesignGoal
 from acoustube.runs.design.tubes import TubeSpec
 
 LEAST_PRODUCT = 3.0
-"""Least product of duration and bandwidth of a chirp: a shorter one is hardly more than a burst."""
+"""Least product of duration and bandwidth of a chirp; a shorter one hardly differs from a burst."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,9 +29,11 @@ class Candidate:
     tube : TubeSpec
     rangefinder : Rangefinder
     ends : int
+        Number of ends of the tube with a rangefinder.
     found : Prediction
+        Predicted errors.
     score : float
-        Logarithm of the force's error with penalties for what the goal lacks.
+        Logarithm of the error of force, with penalties for unmet requirements of the goal.
     """
 
     tube: TubeSpec
@@ -42,7 +44,7 @@ class Candidate:
 
     @property
     def objectives(self) -> Array:
-        """Reach in m, rms relative deviation of force, resolution and median one of place in m."""
+        """Reach, relative rms deviation of force, resolution, median deviation of place, in SI."""
         return np.append(self.found.objectives, np.median(self.found.place))
 
     def meets(self, design: DesignGoal) -> bool:
@@ -84,18 +86,18 @@ class Candidate:
 
 
 class Choice(NamedTuple):
-    """Choice of the electronics, but for carrier and cycles.
+    """Choice of the electronics, except carrier and cycles.
 
     Attributes
     ----------
     transducer : str
         One of :data:`acoustube.runs.config.goal.TRANSDUCERS`.
     quality : float
-        Quality factor; 0 of a loudspeaker.
+        Quality factor; 0 for a loudspeaker.
     bandwidth : float
-        Of a chirp in Hz; 0 of a burst.
+        Bandwidth of a chirp in Hz; 0 for a burst.
     rate : float
-        Samples per second.
+        Sampling rate in Hz.
     bits : int
     ends : int
     """
@@ -109,7 +111,7 @@ class Choice(NamedTuple):
 
 
 def choices_of(design: DesignGoal) -> list[Choice]:
-    """Return all combinations; a loudspeaker has no quality factor."""
+    """Return all combinations of electronics; a loudspeaker has no quality factor."""
     free = design.variables
     made = itertools.product(
         free.transducer, free.quality_factor, free.bandwidths, free.rates, free.bits, free.ends

@@ -27,7 +27,7 @@ from acoustube.runs.design.tubes import REFERENCE_SHORE_A, Compute, TubeSpec
 PAPER = TubeSpec(7.9, 1.6, 35.0)
 """Tube of the sleeve paper."""
 WORSE = 1.25
-"""Largest error of force of a recommended sensor, relative to that of the best."""
+"""Largest error of force of a recommended sensor, relative to the least of all candidates."""
 MAP_PLACES, MAP_FORCES = 16, 12
 """Numbers of places and forces of a map of errors."""
 CHANGES = {"bore": 0.05, "hardness": 5.0, "temperature": 10.0}
@@ -40,11 +40,11 @@ class Map(NamedTuple):
     Attributes
     ----------
     place : ndarray
-        In m, (n_z,).
+        Distances in m, (n_z,).
     force : ndarray
-        In N, (n_f,).
+        Forces in N, (n_f,).
     depth : ndarray
-        Of the forces, in m, (n_f,); that of the last press beyond it.
+        Depths at the forces in m, (n_f,); beyond the last press, its depth.
     force_error : ndarray
         Relative standard deviations of force, (n_f, n_z).
     place_error : ndarray
@@ -59,20 +59,20 @@ class Map(NamedTuple):
 
 
 class Recommended(NamedTuple):
-    """A sensor with all that is reported of it.
+    """A recommended sensor, and the results that are reported for it.
 
     Attributes
     ----------
     name : str
-        Of its files.
+        Name of its files.
     words : str
-        Why it is recommended.
+        Reason for the recommendation.
     candidate : Candidate
     map : Map
     limits : dict of str to float
-        Fractions of the force's variance, by cause.
+        Fractions of the mean square error of force by cause; see :func:`limits_of`.
     robustness : dict of str to ndarray
-        Objectives with a change, by the change.
+        Objectives after a change of bore, hardness or temperature, by the change.
     ranges : dict of str to (float, float)
         See :func:`acoustube.runs.design.parts.ranges_of`.
     pairs : Pairs or None
@@ -92,9 +92,9 @@ class Recommended(NamedTuple):
 def recommended(design: DesignGoal, front: Sequence[Candidate]) -> list[tuple[str, str, Candidate]]:
     """Return names, reasons and sensors: the best in force, reach and resolution.
 
-    Each is the best of those that meet the goal's other demands, and whose error of force is not
-    far above the least; without one, of those that lack least. A sensor that is named already is
-    left to the next best.
+    Each is the best of the candidates that meet the goal's other requirements and whose error of
+    force is at most :data:`WORSE` times the least. If there are none, it is the best of those that
+    miss the requirements by least. No sensor is recommended twice.
     """
     goal, least = design.goal, min(one.objectives[1] for one in front)
 
@@ -114,7 +114,7 @@ def recommended(design: DesignGoal, front: Sequence[Candidate]) -> list[tuple[st
         left = [one for one in front if all(one is not other for *_, other in found)]
         if not left:
             break
-        # Rounded: a lack that is smaller by less than a per cent does not count.
+        # Rounded, so that differences of less than a per cent are ignored.
         best = min(
             left,
             key=lambda one: (round(lack(one, column), 2), sign * one.objectives[column], one.score),
@@ -124,7 +124,7 @@ def recommended(design: DesignGoal, front: Sequence[Candidate]) -> list[tuple[st
 
 
 def paper_sensor(design: DesignGoal, tubes: Sequence[PressedTube]) -> Candidate:
-    """Return the sleeve paper's sensor with what is expected of it for a goal."""
+    """Return the sleeve paper's sensor with its predicted errors for a goal."""
     usual = Rangefinder()
     assert isinstance(usual.drive, Burst)
     own = Choice("resonant", usual.quality_factor, 0.0, usual.sampling_rate, usual.bits, 1)
@@ -156,7 +156,7 @@ def error_map(design: DesignGoal, tubes: Sequence[PressedTube], candidate: Candi
 
 
 def limits_of(design: DesignGoal, candidate: Candidate) -> dict[str, float]:
-    """Return what the mean square error of the force is made of, as fractions of it.
+    """Return the contributions to the mean square error of force, as fractions by cause.
 
     Causes are the wall's hardness, the forward model, noise with unknown temperature, gain and
     phase, errors of half wavelengths, and presses that are missed, in the ring-down, or beyond a
@@ -183,16 +183,16 @@ def limits_of(design: DesignGoal, candidate: Candidate) -> dict[str, float]:
 def robustness_of(
     design: DesignGoal, candidate: Candidate, tubes: Sequence[PressedTube], compute: Compute
 ) -> dict[str, Array]:
-    """Return a sensor's objectives with other bore, hardness or air, each calibrated anew.
+    """Return a sensor's objectives with changed bore, hardness or air, calibrated for each change.
 
     Parameters
     ----------
     design : DesignGoal
     candidate : Candidate
     tubes : sequence of PressedTube
-        Of the candidate.
+        Presses of the candidate's tube by each tool.
     compute : callable
-        For tubes of another bore and, on a soft layer, of another hardness.
+        Computes tubes of another bore and, on a soft layer, of another hardness.
     """
     spec, found = candidate.tube, {}
     table = design.goal.support == "table"
@@ -227,7 +227,7 @@ def robustness_of(
 
 
 def warmed(tube: PressedTube, temperature: float) -> PressedTube:
-    """Return a tube in air of another temperature in degC: its reflection is that of f / c."""
+    """Return a tube in air of another temperature in degC; its reflection depends only on f / c."""
     speed = air_at(temperature).sound_speed
     at = tube.frequency * tube.sound_speed / speed
     parts = [

@@ -19,7 +19,7 @@ from acoustube.runs.design.candidates import Candidate
 from acoustube.runs.sensor_file import OF_OTHERS, add_rangefinder
 
 BAND_MARGIN = 0.04
-"""Margin of a library's band for other temperatures."""
+"""Relative margin of a library's band for other temperatures."""
 
 
 def front_csv(front: Sequence[Candidate]) -> str:

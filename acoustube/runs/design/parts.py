@@ -15,7 +15,7 @@ from acoustube.runs.design.candidates import Candidate
 from acoustube.runs.design.search import contacts_of, known_of, modulus_of
 
 WORSE = 1.1
-"""Factor of the penalised error of force up to which a part is in its range."""
+"""Largest factor by which the penalised error of force may grow within the range of a part."""
 FACTORS = np.geomspace(0.5, 2.0, 141)
 """Factors of a part's value that are tried."""
 HARDNESSES = np.arange(-15.0, 15.1, 1.0)
@@ -25,21 +25,22 @@ HARDNESSES = np.arange(-15.0, 15.1, 1.0)
 def ranges_of(
     design: DesignGoal, tubes: Sequence[PressedTube], candidate: Candidate
 ) -> dict[str, tuple[float, float]]:
-    """Return the ranges of parts, one at a time, in which the error grows by a tenth at most.
+    """Return the range of each part, varied alone, in which the error grows by a tenth at most.
 
     Parameters
     ----------
     design : DesignGoal
     tubes : sequence of PressedTube
-        Of the candidate.
+        Presses of the candidate's tube by each tool.
     candidate : Candidate
 
     Returns
     -------
     dict of str to (float, float)
-        Lowest and highest value by the name of the part with its unit. The carrier is that of drive
-        and transducer, the noise that of the converter, relative. On a table the hardness is varied
-        too, which there needs no other press. Each sensor has its own calibration and library.
+        Lowest and highest value by the name of the part with its unit. The carrier is varied for
+        drive and transducer alike; the noise is that of the converter, relative. On a table the
+        hardness is varied too, which there needs no further press. Each varied sensor has its own
+        calibration and library.
     """
     shore, average = candidate.tube.shore, design.goal.average
     known = on_device(known_of(design, tubes, shore))
@@ -84,10 +85,10 @@ def ranges_of(
 def pairs_of(
     design: DesignGoal, tubes: Sequence[PressedTube], candidate: Candidate
 ) -> Pairs | None:
-    """Return the errors of pairs of presses the goal's distance apart; None if not computed.
+    """Return the errors of pairs of presses at the goal's separation; None if not computed.
 
-    The presses of the pairs are the goal's contacts behind the ring-down that do not close the
-    lumen and whose second press is still on the tube; one rangefinder listens.
+    The first presses are the goal's contacts that lie beyond the ring-down, do not close the lumen
+    and leave room on the tube for the second press. One rangefinder records.
     """
     goal = design.goal
     contacts = contacts_of(design)

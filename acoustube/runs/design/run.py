@@ -1,4 +1,4 @@
-"""Run of a design: the search with its workers and progress, and what it recommends."""
+"""Run of a design: the search with its workers and progress, and the recommended sensors."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ ASSUMED = (
         "every carrier; of a loudspeaker those of acoustube.ranging.LOUDSPEAKER."
     ),
 )
-"""What the predictions assume."""
+"""Assumptions of the predictions."""
 
 
 class Designed(NamedTuple):
@@ -58,11 +58,11 @@ class Designed(NamedTuple):
     front : list of Candidate
         Pareto front in reach, force, resolution and place.
     sensors : list of Recommended
-        The recommended ones, and at the end the sleeve paper's if it can be computed.
+        The recommended sensors, and last the sleeve paper's if it can be computed.
     tubes : int
         Number of tubes that were computed.
     failed : dict of TubeSpec to str
-        Those that could not be, and why.
+        Tubes that could not be computed, with the reasons.
     """
 
     design: DesignGoal
@@ -196,7 +196,7 @@ def _searched(
 
 
 def _pressed_as(design: DesignGoal, spec: TubeSpec) -> TubeSpec:
-    """Return the tube that was pressed for a candidate's."""
+    """Return the tube whose presses serve for a candidate's tube."""
     return spec._replace(shore=REFERENCE_SHORE_A) if design.goal.support == "table" else spec
 
 

@@ -35,17 +35,17 @@ from acoustube.runs.design.tubes import REFERENCE_SHORE_A, Compute, TubeSpec
 from acoustube.tube import shear_modulus_from_shore
 
 CONTACTS = 32
-"""Contacts that are drawn from a goal, always the same ones."""
+"""Number of contacts that are drawn from a goal, always the same ones."""
 STEPS = {"bore": 0.5, "wall": 0.25, "shore": 5.0}
-"""Steps of the tubes' lattice in mm and Shore A: tubes nearer to each other are not made."""
+"""Steps of the tubes' lattice in mm and Shore A: tubes are not made in smaller steps."""
 WIDEST = 4
-"""First step of the pattern search in those of the lattice; it is halved to 1."""
+"""First step of the pattern search, in steps of the lattice; it is halved down to 1."""
 CARRIERS, PULSES, HARDNESSES = 14, 5, 5
-"""Values of carrier, cycles and (on a table) hardness that are tried for each tube."""
+"""Numbers of values of carrier, cycles and (on a table) hardness that are tried for each tube."""
 
 
 def contacts_of(design: DesignGoal, n: int = CONTACTS) -> Contacts:
-    """Return contacts of a goal: even in place and tool, and in the logarithm of the force."""
+    """Return contacts of a goal, even over position, tool and the logarithm of force."""
     goal = design.goal
     draws = qmc.Sobol(3, seed=1).random(n)
     low, high = goal.forces_n
@@ -58,7 +58,7 @@ def contacts_of(design: DesignGoal, n: int = CONTACTS) -> Contacts:
 
 
 def modulus_of(design: DesignGoal, shore: float) -> float:
-    """Return the ratio of a hardness's shear modulus to that of the presses; 1 on an arm."""
+    """Return the shear modulus at a hardness relative to that of the presses; 1 on an arm."""
     if design.goal.support != "table":
         return 1.0
     return float(shear_modulus_from_shore(shore) / shear_modulus_from_shore(REFERENCE_SHORE_A))
@@ -67,14 +67,15 @@ def modulus_of(design: DesignGoal, shore: float) -> float:
 def known_of(
     design: DesignGoal, tubes: Sequence[PressedTube], shore: float, contacts: Contacts | None = None
 ) -> Information:
-    """Return the information of a goal's contacts on a tube of a hardness.
+    """Return the Fisher information of a goal's contacts on a tube of a hardness.
 
     Parameters
     ----------
     design : DesignGoal
     tubes : sequence of PressedTube
-        On a table pressed at :data:`REFERENCE_SHORE_A`, else at the hardness.
+        Presses by each tool: on a table at :data:`REFERENCE_SHORE_A`, else at the hardness.
     shore : float
+        Shore A hardness.
     contacts : Contacts, optional
         Those of :func:`contacts_of` by default.
     """
@@ -87,7 +88,7 @@ def known_of(
 
 @dataclass
 class Search:
-    """Candidates of a goal, from tubes that are computed on demand.
+    """Pattern search for the candidates of a goal; tubes are computed on demand.
 
     Attributes
     ----------
@@ -99,13 +100,13 @@ class Search:
     most : int
         Largest number of tubes.
     best : dict of TubeSpec to Candidate
-        The best of each tube.
+        Best candidate of each tube.
     kept : list of Candidate
         Pareto front in reach, force, resolution and place.
     failed : dict of TubeSpec to str
         Tubes that cannot be computed, and why.
     tubes : dict of TubeSpec to list of PressedTube
-        Those that were computed, under each tool.
+        Tubes that were computed, with their presses by each tool.
     """
 
     design: DesignGoal
@@ -123,7 +124,7 @@ class Search:
         Returns
         -------
         Candidate or None
-            The one of the best score; None if no tube could be computed.
+            Candidate of the best score; None if no tube could be computed.
         """
         self._try(self._first())
         step = WIDEST
@@ -251,7 +252,7 @@ def _grid(design: DesignGoal, spec: TubeSpec, known: Information) -> list[Candid
 def refined(design: DesignGoal, known: Information, best: Candidate) -> Candidate:
     """Return a candidate with carrier and cycles improved by L-BFGS-B; the same if it fails.
 
-    The number of cycles is rounded to half ones.
+    The number of cycles is rounded to half cycles.
     """
     free, goal, r = design.variables, design.goal, best.rangefinder
     assert isinstance(r.drive, Burst | Chirp)
@@ -288,7 +289,7 @@ def front_of(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Return the Pareto front of candidates in reach, force, resolution and place."""
     values = np.round(np.array([one.objectives for one in candidates]) * (-1, 1, 1, 1), 5)
     kept: list[int] = []
-    # Rising in the first objective: only what came before can be better.
+    # Sorted by the first objective: only earlier candidates can dominate a later one.
     for i in np.lexsort(values.T[::-1]):
         if not np.any(np.all(values[kept] <= values[i], axis=1)):
             kept.append(int(i))

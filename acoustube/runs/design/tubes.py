@@ -28,26 +28,26 @@ from acoustube.waves.scattering import Complex
 REFERENCE_SHORE_A = 35.0
 """Shore A hardness at which presses on a table are computed: forces scale with the modulus."""
 SHALLOWEST, DEEPEST, DEPTHS = 0.1, 0.94, 14
-"""Depths at which sound is computed, in bores: first, last and their number."""
+"""Depths at which sound is computed: first and last in bore diameters, and their number."""
 ROWS = 16
-"""Depths of a press: its shapes are interpolated between them."""
+"""Number of depths of a press, between which its shapes are interpolated."""
 INTO_LAYER = 0.4
 """Additional depth on a soft layer, as a fraction of its thickness."""
 MARGIN = 0.85, 1.15
-"""Ends of the band over the lowest and the highest carrier."""
+"""Ends of the band relative to the lowest and the highest carrier."""
 CHIRP_MARGIN = 0.61
-"""Half the width of the band about a chirp, in bandwidths: a little over the inversion's."""
+"""Half width of the band computed for a chirp, in bandwidths, a little over the inversion's."""
 
 
 class TubeSpec(NamedTuple):
-    """A tube.
+    """Sizes and hardness of a tube.
 
     Attributes
     ----------
     bore, wall : float
-        In mm.
+        Diameter of the bore and thickness of the wall in mm.
     shore : float
-        Hardness.
+        Shore A hardness.
     """
 
     bore: float
@@ -56,12 +56,12 @@ class TubeSpec(NamedTuple):
 
     @property
     def words(self) -> str:
-        """The tube in words."""
+        """Description of the tube."""
         return f"bore {self.bore:g} mm, wall {self.wall:g} mm, {self.shore:g} Shore A"
 
 
 class Sounded(NamedTuple):
-    """Arrays of a :class:`acoustube.inversion.design.PressedTube`, or why there are none."""
+    """Arrays of a :class:`acoustube.inversion.design.PressedTube`, or the reason for their lack."""
 
     depth: Array
     force: Array
@@ -73,7 +73,7 @@ class Sounded(NamedTuple):
 
 
 def band_of(design: DesignGoal, extra: Sequence[float] = ()) -> tuple[float, float]:
-    """Return the band in Hz that all carriers of a design and further ones in Hz need."""
+    """Return the band in Hz that covers all carriers of a design, and further ones in Hz."""
     free = design.variables
     carriers = [*free.carrier, *extra]
     ends = [
@@ -89,8 +89,8 @@ def band_of(design: DesignGoal, extra: Sequence[float] = ()) -> tuple[float, flo
 def plan_of(design: DesignGoal, spec: TubeSpec, tool: float, band: tuple[float, float]) -> ToolPlan:
     """Return the plan of a tube's presses by one tool of a diameter in mm.
 
-    With losses: without them trapped modes are so sharp that between the few depths the reflection
-    cannot be interpolated, and its derivative by depth is that of an artefact.
+    Losses are included: without them the resonances of trapped modes are too sharp to interpolate
+    the reflection between the few depths, and its derivative by depth would be an artefact.
     """
     goal, on_arm = design.goal, design.goal.support == "arm"
     ground: dict[str, Any] = {"support": "held"}
@@ -113,7 +113,7 @@ def plan_of(design: DesignGoal, spec: TubeSpec, tool: float, band: tuple[float, 
 
 
 def sounded(plan: ToolPlan) -> Done[Sounded]:
-    """Press a tube and compute its reflection at the depths of a plan, or read them."""
+    """Press a tube and compute its reflection at the depths of a plan, or read both from cache."""
     (arrays, stopped), reused = press_rows(plan)
     settings = plan.settings
     reached = [d for d in plan.first if d <= arrays["depth"][-1] * (1 + 1e-9)]
@@ -177,7 +177,7 @@ def tasks_of(
     board: Board,
     found: dict[TubeSpec, list[PressedTube] | str],
 ) -> list[Task]:
-    """Return the tasks of tubes, which add them to those found, or why they cannot be computed."""
+    """Return the tasks that compute tubes and add them, or the reasons of failure, to `found`."""
     tools = design.goal.tools_mm
     parts: dict[TubeSpec, dict[float, Sounded]] = {spec: {} for spec in specs}
 
@@ -222,4 +222,4 @@ def tube_seconds(plan: ToolPlan) -> float:
 
 
 Compute = Callable[[Sequence[TubeSpec]], dict[TubeSpec, "list[PressedTube] | str"]]
-"""Function that returns tubes, or why each cannot be computed."""
+"""Function that returns each tube's presses, or the reason why it cannot be computed."""

@@ -1,9 +1,9 @@
-"""Computation of libraries: presses, then scattering at depths that are bisected where it varies.
+"""Computation of libraries: presses, then their scattering at depths refined by bisection.
 
-A press has rows some tenths of a millimetre apart; the shapes between them are interpolated, which
-is accurate to micrometres, whereas scattering itself varies faster with depth where a lumen has
-trapped modes. Each shape is scattered on its own. Level by level intervals are bisected in which
-the error of cubic splines, found by leaving out each depth in turn, is too large.
+A press is solved at depths some tenths of a millimetre apart. The shapes between are interpolated,
+to an accuracy of micrometres. Scattering is computed for each shape, since it varies faster with
+depth where a lumen has trapped modes. The intervals of depth in which the error of cubic splines,
+estimated by leave-one-out cross-validation, is too large are bisected level by level.
 """
 
 from __future__ import annotations
@@ -49,17 +49,17 @@ kilohertz of a trapped mode the estimate, which leaves out losses, is far too la
 GAIN_OF_BISECTION = 6.0
 """Factor by which bisection reduces the error of cubic splines, 16 for the smoothest functions."""
 REACH = 8
-"""Depths on each side of one from which its scattering is interpolated, to estimate the error."""
+"""Number of depths on each side of one from which its scattering is interpolated for the error."""
 WIDEST_GAP = 1.6
 """Widest gap that failed depths may leave, relative to the largest step of the first depths."""
 FINEST = 1 / 32
 """Smallest step of depth, relative to the smallest step of the first depths."""
 USUAL_DEPTHS = 3.0
-"""Final number of depths of a tool over the number of first ones, for estimates of time."""
+"""Ratio of final to first number of depths of a tool, for estimates of time."""
 
 
 class PressRows(NamedTuple):
-    """Arrays of a press, and why it did not reach all depths; empty if it did."""
+    """Arrays of a press, and the reason why it did not reach all depths; empty if it did."""
 
     arrays: dict[str, Array]
     stopped: str
@@ -78,7 +78,7 @@ def press_rows(plan: ToolPlan) -> Done[PressRows]:
 def scattering_at(plan: ToolPlan, depth: float, part: Lumen) -> Done[SpectralScattering | str]:
     """Compute the scattering of a pressed part, or read it from the cache.
 
-    In its place the reason is returned, if the solver cannot compute it.
+    If the solver cannot compute it, the reason is returned instead.
     """
     name = plan.scattering_key(depth)
     known = scattering_file.recall(name)
@@ -141,8 +141,8 @@ class Refinement:
     def next(self) -> list[float]:
         """Return the depths of the next level, once all of this one are known; none at the end.
 
-        First the middles of all intervals, then those of the intervals that interpolation does not
-        yet meet the tolerance in.
+        These are the middles of all intervals at first, then of those in which the error of
+        interpolation exceeds the tolerance.
         """
         depths = self.depths
         if len(depths) < FEWEST_DEPTHS:
@@ -160,9 +160,9 @@ class Refinement:
     def between(self) -> Array:
         """Return the expected error of interpolation between each depth and the next.
 
-        By cross-validation: at each depth the error of the spline through all others, which grows
-        with the product of the squared distances to its neighbours, as that in the middle of an
-        interval with its length to the fourth power.
+        By leave-one-out cross-validation. The error at a depth that is left out grows with the
+        product of the squared distances to its neighbours, that in the middle of an interval with
+        the fourth power of the interval's length.
         """
         depths = np.array(self.depths)
         known = np.array([self.known[d].s[:, :, :1, :, :1] for d in self.depths])
@@ -183,8 +183,8 @@ class Refinement:
 def deviation(found: Complex, exact: Complex) -> float:
     """Return the error of scattering matrices, (n_f, 2, m, 2, m), over the band.
 
-    The rms difference of the plane wave's reflection relative to its rms, or that of its
-    transmission if it is larger.
+    It is the rms difference of the plane wave's reflection relative to the rms of the reflection,
+    or the rms difference of its transmission if that is larger.
     """
     plane = np.sqrt(np.mean(np.abs((found - exact)[:, :, 0, 0, 0]) ** 2, axis=0))
     return float(max(plane[0] / np.sqrt(np.mean(np.abs(exact[:, 0, 0, 0, 0]) ** 2)), plane[1]))
@@ -277,7 +277,7 @@ def build_library(
 
 
 def _cost(plan: ToolPlan) -> tuple[float, float]:
-    """Return the expected seconds of a tool's press and of its scattering."""
+    """Return the expected times in s of a tool's press and of its scattering."""
     matrix = spectral_seconds(plan.settings)
     return press_seconds(plan.settings, plan.pressed[-1]), USUAL_DEPTHS * len(plan.first) * matrix
 

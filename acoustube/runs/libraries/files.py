@@ -36,7 +36,7 @@ FAILURE = "is not a file of this version's acoustube library"
 
 
 def prepared(out: str | Path) -> Path:
-    """Return the folder of a library, new or one to go on with.
+    """Return the folder of a library, new or to be resumed.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def from_file(data: h5netcdf.File) -> Tool:
 
 
 def _wall(configuration: str | None) -> dict[str, Any]:
-    """Return the wall's modulus in Pa and Poisson's ratio, where forces are proportional to it."""
+    """Return the wall's modulus in Pa and Poisson's ratio if forces scale with the modulus."""
     if configuration is None:
         return {}
     config = configured(json.loads(configuration))
@@ -148,12 +148,12 @@ def open_library(path: str | Path) -> Library:
     Parameters
     ----------
     path : str or Path
-        Its folder, or the file of one tool.
+        Folder of the library, or file of one tool.
 
     Returns
     -------
     Library
-        Tools in the order of their diameters.
+        Tools in the order of their shapes and diameters.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Tools of a library, and the depths at which they press and scatter."""
+"""Tools of a library, and the depths of their presses and scattering matrices."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from acoustube.runs.sweep.plan import digest, load_plan
 from acoustube.runs.sweep.run import cases_of
 
 BAND = 0.8, 1.2
-"""Ends of a library's band over the carrier frequency: that of a resonant transducer, at
-temperatures 25 K apart from the library's."""
+"""Ends of a library's band relative to the carrier frequency: the band of a resonant transducer, at
+temperatures up to 25 K from the library's."""
 WIDEST_STEP = 1 / 16
 """Largest step of the depths of a press, in bore diameters: closer shapes can be interpolated."""
 ROUNDING = 1e-9
-"""Depths are rounded to this, in m, so that equal ones have equal names."""
+"""Multiple in m to which depths are rounded, so that equal ones have equal names."""
 
 
 @dataclass(frozen=True, eq=False)
 class ToolPlan:
-    """One tube under one tool, and where it is pressed and scatters.
+    """One tube under one tool, and the depths of its press and of its scattering matrices.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class ToolPlan:
     first : tuple of float
         Depths in m at which scattering is computed first.
     tolerance : float
-        Error of interpolated scattering from which the depths are refined.
+        Error of interpolated scattering above which the depths are refined.
     edges : tuple of float or None
         Lowest and highest frequency in Hz; by default those about the carrier of the settings.
     """
@@ -68,12 +68,12 @@ class ToolPlan:
 
     @property
     def words(self) -> str:
-        """The tool and the tube in words."""
+        """Description of the tool and the tube."""
         settings = replace(self.settings, depth=self.first[-1])
         return f"{press_runs.press_in_words(settings)}; {press_runs.wall_in_words(settings)}"
 
     def scattering_key(self, depth: float) -> str:
-        """Return the name in the cache of the scattering at a depth in m."""
+        """Return the cache key of the scattering matrix at a depth in m."""
         settings = self.settings
         return cache.key(
             "scattering",
@@ -89,7 +89,7 @@ class ToolPlan:
 
     @property
     def name(self) -> str:
-        """Name of the tool's file: a hash of all that it depends on, but for the solvers' code."""
+        """Name of the tool's file: a hash of all that it depends on, except the solvers' code."""
         settings, sound_of = self.settings, self.config.waves
         content = {
             "tube": {n: v for n, v in asdict(settings.tube).items() if n != "length"},
@@ -114,7 +114,7 @@ def tool_plans(
     ----------
     over : mapping of str to sequence of str
         Settings with their values or ranges, as :func:`acoustube.runs.sweep.plan.load_plan` takes
-        them; all combinations but those of the depths are tools.
+        them; each combination of values other than depths is a tool.
     tolerance : float
     path : str or Path, optional
         TOML file with further settings.

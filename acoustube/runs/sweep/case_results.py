@@ -30,7 +30,7 @@ class CaseResults(NamedTuple):
     Attributes
     ----------
     dataset : xarray.Dataset or None
-        Of those that succeeded, along ``press``.
+        Results of the cases that succeeded, along ``press``.
     failed : dict of str
         Reasons why the others failed, by name.
     """
@@ -47,11 +47,11 @@ def simulate_cases(
     Parameters
     ----------
     cases : mapping of str to Config
-        By name.
+        Cases by name.
     pressed : Pressed
-        Press of all of them.
+        Press that all cases share.
     matrix : Scattering or None
-        Scattering of that press; whole tubes are marched without it.
+        Scattering matrix of that press; None to compute whole tubes in the time domain.
     """
     rows, failed = {}, {}
     with one_thread():
@@ -65,7 +65,7 @@ def simulate_cases(
 
 
 def placed(settings: SISettings, matrix: StoredScattering | None) -> list[PlacedScatterer]:
-    """Return the press of a case at its place, in its air; none for an untouched tube."""
+    """Return the press of a case at its position, in its air; none for an untouched tube."""
     if matrix is None:
         return []
     return [PlacedScatterer(at_sound_speed(matrix, settings.air.sound_speed), settings.position)]

@@ -11,13 +11,13 @@ from acoustube.runs.sweep import tasks as sweep_tasks
 from acoustube.runs.sweep.graph import Case, Group, LoadPath
 from acoustube.waves.modes import modes_below
 
-# Measured on two quiet cores; they serve the estimates only.
+# Measured on two quiet cores; used for estimates only.
 SCATTERING_SECONDS, RECORDING_SECONDS, GIGABYTES = 4e-9, 0.2, 1.0
-"""Seconds per cell and step of a scattering, and per metre of tube of a case; GB per worker."""
+"""Time in s per cell and step of scattering, and per metre of tube of a case; GB per worker."""
 CASE_BYTES, MATRIX_BYTES = 6.0, 370e3
 """Bytes per sample of a case, of both source ends; and of a scattering matrix with its walls."""
 RINGING = 12e-3
-"""Simulated time in s of a scattering."""
+"""Simulated time in s of the computation of a scattering matrix."""
 COURANT_NUMBER = 0.45
 """Time step of the scheme, in cell sizes over the speed of sound."""
 SOUND_SPEED = 343.0
@@ -25,12 +25,12 @@ SAMPLING_RATE = 1e6
 
 
 def path_cost(path: LoadPath) -> float:
-    """Return the expected seconds of a load path."""
+    """Return the expected computing time in s of a load path."""
     return press_seconds(path.settings, path.depths[-1]) if path.presses else 0.0
 
 
 def matrix_cost(group: Group) -> float:
-    """Return the expected seconds of a scattering matrix."""
+    """Return the expected computing time in s of a scattering matrix."""
     if group.band is None:
         return 0.0
     settings = group.settings
@@ -43,7 +43,7 @@ def matrix_cost(group: Group) -> float:
 
 
 def case_cost(cases: Sequence[Case]) -> float:
-    """Return the expected seconds of cases whose scattering is known."""
+    """Return the expected computing time in s of cases whose scattering is known."""
     return RECORDING_SECONDS * _lengths(cases) + 0.05 * len(cases)
 
 
@@ -53,7 +53,7 @@ def _lengths(cases: Sequence[Case]) -> float:
 
 
 def cached(paths: Sequence[LoadPath]) -> tuple[int, int, float]:
-    """Return the numbers of load paths and matrices in the cache, and the cost of the others."""
+    """Return the numbers of cached load paths and matrices, and the cost in s of the others."""
     n_paths = n_matrices = 0
     cost = 0.0
     for path in paths:

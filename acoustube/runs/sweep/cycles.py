@@ -32,7 +32,7 @@ PLAIN = ("offset",)
 SPREAD = ("resonance", "quality_factor", "gain", "send", "noise", *PLAIN)
 """Parameters of the rangefinder that may differ from session to session."""
 LONGEST_SESSION = 72_000
-"""Number of cycles in an hour, over which a session's cases are spread."""
+"""Number of cycles in an hour, over which the cases of a session are distributed."""
 SIGNAL_CHUNK = 64
 """Cycles per chunk of the file."""
 CARRIED = {
@@ -50,27 +50,28 @@ class Recipe:
     Attributes
     ----------
     n_cycles : int
-        Of each case, in each session.
+        Number of cycles of each case in each session.
     n_tubes : int
-        Specimens of each tube, each with irregularities of its own.
+        Number of specimens of each tube, each with its own irregularities.
     n_sessions : int
-        Of each specimen, each with a drift and an error of the temperature of its own.
+        Number of sessions of each specimen, each with its own drift and error of the temperature.
     seed : int
     rangefinder : Rangefinder or None
-        With None the default one, at the case's carrier frequency.
+        None for the default one at the case's carrier frequency.
     offset_deviation : float or None
-        Standard deviation in K of the temperature's error over the sessions about the rangefinder's
-        bias; with None it is drawn evenly up to the bias, to both sides.
+        Standard deviation in K, over the sessions, of the temperature's error about the
+        rangefinder's bias; with None the error is uniform between minus and plus the bias.
     reflectors : tuple of float
         Irregularities of the first specimen, as of :func:`acoustube.ranging.clutter`; random if
         empty.
     spread : tuple of (str, float)
-        Standard deviations over the sessions of parameters of the rangefinder, by their names:
-        of the logarithm, but of the value of those in :data:`PLAIN`.
+        Standard deviations of parameters of the rangefinder over the sessions, by their names: of
+        the value for those in :data:`PLAIN`, of the logarithm for the others.
     clutter_spread : float
-        Power in 1/m of what the given irregularities change by from session to session.
+        Power in 1/m of the changes of the given irregularities from session to session.
     young_modulus : float or None
-        Of the wall in Pa, for forces and moduli of the labels; None for that of the sweep.
+        Young's modulus of the wall in Pa, to which forces and moduli of the labels are scaled; None
+        for that of the sweep.
     """
 
     n_cycles: int = 50
@@ -101,7 +102,7 @@ class Recipe:
 
     @property
     def per_case(self) -> int:
-        """Cycles of a case over all tubes and sessions."""
+        """Number of cycles of a case over all tubes and sessions."""
         return self.n_cycles * self.n_tubes * self.n_sessions
 
     @property
@@ -140,9 +141,9 @@ def record_cases(cases: Sequence[tuple[str, Path]], out: Path, recipe: Recipe) -
     Parameters
     ----------
     cases : sequence of (str, Path)
-        Names, and the sweep's files that hold them.
+        Names of the cases, and the sweep's files that contain them.
     out : Path
-        The file.
+        File to write.
     recipe : Recipe
 
     Returns
@@ -180,7 +181,7 @@ def _opened(path: Path) -> tuple[xr.Dataset, StoredScattering | None]:
 
 
 def _recorded(name: str, path: Path, recipe: Recipe) -> Iterator[xr.Dataset]:
-    """Yield the cycles of a case, of each specimen in each session."""
+    """Yield the cycles of a case for each specimen and session."""
     data, scattering = _opened(path)
     case = data.sel(press=name)
     config = configured(json.loads(str(case["configuration"].values)))
@@ -221,7 +222,7 @@ def _reflectors(recipe: Recipe, seed: int) -> Array:
 
 
 def in_session(rangefinder: Rangefinder, seed: int, recipe: Recipe) -> Rangefinder:
-    """Return a rangefinder with parameters drawn for a session, as its thermometer's error."""
+    """Return a rangefinder with parameters and thermometer error drawn for a session."""
     random, drawn = np.random.default_rng([seed, 2]), {}
     for name, deviation in recipe.spread:
         value, off = getattr(rangefinder, name), deviation * random.normal()

@@ -35,7 +35,7 @@ from acoustube.runs.sweep.workers import WORKERS, Task, Workers, count_of
 
 RECIPE, CARD = "dataset.json", "README.md"
 DRIVES: dict[str, type[Any]] = {"Burst": Burst, "Chirp": Chirp, "Tones": Tones}
-"""Drives that a file can give."""
+"""Types of drive by their names in files."""
 CYCLES_PER_FILE = 5000
 SECONDS_PER_CASE, SECONDS_PER_CYCLE, BYTES_PER_CYCLE = 0.05, 1e-3, 2500.0
 """Costs measured on one idle core, for the estimates."""
@@ -112,7 +112,7 @@ def run_dataset(
     workers : int or Workers, optional
         Number of processes, by default that of the cores; or an existing pool.
     executor : concurrent.futures.Executor, optional
-        In place of processes of this machine.
+        Runs the tasks in place of processes of this machine.
 
     Returns
     -------

@@ -1,8 +1,8 @@
 """Task graph of a sweep: the cases that share a load path, and those that share scattering.
 
-A tube under an indenter goes through all its depths on one load path. At one depth it scatters
-sound in one way, whatever the tube's length, the press's position, the air's temperature and the
-pulse; only the recording and its processing are a case's own.
+One load path contains all depths of a tube under an indenter. At each depth, one scattering matrix
+serves all lengths of the tube, positions of the press, pulses in its band, and air temperatures
+within 18 K. Only the recording and its processing are computed for each case.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from acoustube.runs.sweep.plan import digest
 from acoustube.runs.sweep.tasks import Band
 
 REFERENCE_TEMPERATURES = (-15.0, 20.0, 50.0)
-"""Temperatures in degC of the scattering matrices: those of all air in range are within 18 K."""
+"""Air temperatures in degC of the matrices: every allowed temperature is within 18 K of one."""
 BAND_STEP = 1e3
-"""Step in Hz to which bands are widened, so that they are the same for similar pulses."""
+"""Step in Hz to which band edges are rounded outwards, so that similar pulses share a band."""
 BURST_CYCLES = 11
 """Carrier cycles of a pulse whose band covers that of the default rangefinder."""
 CASE_SETTINGS = {"tube": ("length_cm",), "indentation": ("depth_mm", "position_cm", "steps")}
@@ -59,7 +59,7 @@ class Group:
     Attributes
     ----------
     depth : float
-        In m; 0 of an untouched tube.
+        Indentation depth in m; 0 for an untouched tube.
     band : Band or None
         Band and air of their scattering matrix; None without one (whole tubes, or no press).
     cases : tuple of Case
@@ -82,7 +82,7 @@ class LoadPath:
     Attributes
     ----------
     depths : tuple of float
-        Rising, in m, without the untouched tube.
+        Rising depths in m, without 0, the untouched tube.
     groups : tuple of Group
     """
 
@@ -132,7 +132,7 @@ def only_cases(paths: Sequence[LoadPath], names: set[str]) -> list[LoadPath]:
 def shard(paths: Sequence[LoadPath], number: int, count: int) -> set[str]:
     """Return the names of the cases of one of several equal parts of a sweep.
 
-    Each part is a run of whole groups, so that few load paths are in two of them.
+    Each part consists of consecutive whole groups, so that few load paths are in two parts.
     """
     groups = [group for path in paths for group in path.groups]
     sizes = [len(group.cases) for group in groups]
@@ -168,7 +168,7 @@ def _group(cases: tuple[Case, ...]) -> Group:
 
 
 def _reference(temperature: float) -> float:
-    """Return the reference temperature in degC of the scattering that serves air at another one."""
+    """Return the nearest of the reference temperatures to a temperature, in degC."""
     return min(REFERENCE_TEMPERATURES, key=lambda t: abs(t - temperature))
 
 

@@ -62,8 +62,8 @@ class Plan:
     given : dict
         Settings that all cases have, by section.
     over : dict of str
-        The settings that vary, each with its values, or of a random plan its `Interval`: the last
-        runs fastest.
+        The settings that vary, each with its values, or of a random plan its `Interval`; the last
+        varies fastest.
     cases : tuple of dict
         In place of `over`: the settings of each case.
     count : int
@@ -142,7 +142,7 @@ class Plan:
         columns = self.columns()
         for i in range(len(self)) if numbers is None else numbers:
             given = {name: values[i] for name, values in columns.items()}
-            # Numbers and words of NumPy as Python's own.
+            # Scalars of NumPy are converted to Python's.
             varied = {n: v.item() if hasattr(v, "item") else v for n, v in given.items()}
             try:
                 yield configured(self.given, **varied)
@@ -179,7 +179,7 @@ def _sampled(plan: Plan) -> dict[str, Any]:
     engine = {"sobol": qmc.Sobol, "latin": qmc.LatinHypercube}[plan.sampler]
     drawn = engine(len(plan.over) or 1, seed=np.random.default_rng(plan.seed))
     with warnings.catch_warnings():
-        # The user may choose a number of cases that is no power of two, and so less even.
+        # A number of cases that is not a power of two, with less even points, is allowed.
         warnings.simplefilter("ignore", UserWarning)
         points = drawn.random(plan.count)
     found = {}

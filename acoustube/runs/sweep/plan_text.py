@@ -14,7 +14,7 @@ from acoustube.base.files import toml_array
 from acoustube.runs.config import section_of
 
 MOST_CASES = 10_000_000
-"""Most cases of a plan, and values of a range."""
+"""Largest number of cases of a plan, and of values of a range."""
 
 Values = tuple[Any, ...]
 
@@ -36,7 +36,7 @@ def parsed(name: str, words: Sequence[str]) -> Values | Interval:
     Parameters
     ----------
     name : str
-        Of the setting.
+        Name of the setting.
     words : sequence of str
         Numbers, words, ranges ``first:last:step`` with both ends, or one range ``low:high``.
 

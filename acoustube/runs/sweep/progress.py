@@ -10,7 +10,7 @@ from acoustube.runs.sweep.costs import case_cost, matrix_cost, path_cost
 from acoustube.runs.sweep.graph import LoadPath
 
 PRIOR_SECONDS = 60.0
-"""Seconds of work after which measured costs count as much as expected ones."""
+"""Work in s after which measured costs have the same weight as expected ones."""
 
 
 # Number and cost in seconds of the tasks of each stage.
@@ -50,7 +50,7 @@ class Board:
         n : int
             Number of the tasks.
         reused : bool
-            Whether their results were cached, so that they say nothing about the machine's speed.
+            Whether their results were cached and therefore give no information on the speed.
         """
         self.done[stage] += n
         self.left -= cost
@@ -68,8 +68,8 @@ class Board:
     def _time_left(self, now: float) -> str:
         """Return the expected time left.
 
-        It is scaled by measured over expected time up to the last finished task, and runs down from
-        there, to half at most, while others run.
+        It is scaled by the ratio of measured to expected time up to the last finished task. While
+        other tasks run it then decreases, to half at most.
         """
         measured = self.counted - self.started
         scale = (measured + PRIOR_SECONDS) / (self.spent / self.workers + PRIOR_SECONDS)

@@ -35,7 +35,7 @@ from acoustube.runs.sweep.runner import Runner
 from acoustube.runs.sweep.workers import WORKERS, Task, Workers, count_of, run_tasks, worker_pool
 
 LISTED = 10
-"""Failed cases that are printed."""
+"""Largest number of failed cases that are printed."""
 
 
 class Work(NamedTuple):
@@ -46,11 +46,11 @@ class Work(NamedTuple):
     todo : list of LoadPath
         Load paths of the remaining cases.
     finished : int
-        Cases.
+        Number of finished cases.
     failed : dict of str
-        Why others have failed, by name.
+        Reasons why cases have failed, by name.
     n_cases : int
-        Of this share.
+        Number of cases of this share of the plan.
     """
 
     todo: list[LoadPath]
@@ -90,13 +90,13 @@ def run_sweep(
     workers : int or Workers, optional
         Number of processes, by default that of the cores; or an existing pool.
     executor : concurrent.futures.Executor, optional
-        In place of processes of this machine.
+        Runs the tasks in place of processes of this machine.
     width : int, optional
         Tasks submitted to `executor` at a time; by default the number of its workers, if known.
     share : tuple of int
         Number, from 1, of the part to compute, and count of equal parts of the plan.
     retry : bool
-        Try cases again that have failed before.
+        Whether cases that failed before are tried again.
 
     Returns
     -------
@@ -108,7 +108,7 @@ def run_sweep(
     ConfigError
         If the plan or the folder cannot be used.
     SimulationError
-        If the disk is full, or the executor is gone.
+        If the disk is full, or the executor has shut down.
     """
     started = time.perf_counter()
     cases = cases_of(plan)
@@ -156,7 +156,7 @@ def run_with_progress(
     ----------
     tasks : iterable of Task
     board : Board
-        Its progress is shown again now and then, which raises a lost interrupt.
+        Progress display, refreshed regularly; a refresh also raises a lost interrupt.
     workers : int, Workers or None
         Processes of this machine, unless there is an executor.
     executor : concurrent.futures.Executor, optional

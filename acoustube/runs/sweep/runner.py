@@ -26,13 +26,13 @@ class Runner:
     Parameters
     ----------
     folder : Path
-        Of the sweep.
+        Folder of the sweep.
     board : Board
         Progress display.
     failed : dict of str
-        Reasons by names of cases; failures are added.
+        Reasons of failure by names of cases, to which failures are added.
     done : Counter
-        Finished tasks by kind; they are counted there.
+        Number of finished tasks by kind, which is updated.
     """
 
     def __init__(

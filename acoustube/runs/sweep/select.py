@@ -33,7 +33,7 @@ def by_tool(cases: xr.Dataset) -> Iterator[tuple[str, xr.Dataset]]:
 
 
 def usual(cases: xr.Dataset) -> xr.Dataset:
-    """Return the cases of the combination of other settings with the most depths."""
+    """Return the cases of that combination of other settings which has the most depths."""
     keys = []
     for text in cases["configuration"].values:
         settings = json.loads(str(text))
@@ -55,7 +55,7 @@ def ranged(case: xr.Dataset) -> tuple[SISettings, Recording, signals.Ranging]:
     -------
     settings : SISettings
     recording : Recording
-        Its time and pressure; the grid is not known.
+        Time and pressure of the case; the grid is not known.
     ranging : Ranging
     """
     settings = settings_in_si(configured(json.loads(str(case["configuration"].values))))

@@ -73,7 +73,7 @@ def prepared(path: str | Path) -> Path:
         try:
             folder = check_out(path)
         except ConfigError:
-            if not _begun(folder):  # by another sweep, just now
+            if not _begun(folder):  # begun by another sweep at the same time
                 raise
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -127,7 +127,7 @@ def intact(path: Path) -> xr.Dataset | None:
         check_result(path, "")
         data, matrix = read(path)
         return data if data.attrs["content"] == _content(data, matrix, walls(path)) else None
-    except Exception:  # a damaged file fails in many ways, and all mean the same
+    except Exception:  # a damaged file raises many kinds of errors, all of the same meaning
         return None
 
 
@@ -196,7 +196,7 @@ def write_file(
     path : Path
     data : xarray.Dataset
     matrix, walls : xarray.Dataset or None
-        A scattering and walls that go with it.
+        Scattering matrix and walls that belong to it.
     chunks : mapping of str to int, optional
         Chunk length along the first dimension, by variable.
 
@@ -217,7 +217,7 @@ def write_file(
 
 
 def _put(path: Path, content: bytes | str) -> None:
-    """Write a file of a folder that can be resumed; one of that name is replaced."""
+    """Write a file to a folder that can be resumed, replacing one of that name."""
     try:
         put(path, content, overwrite=True)
     except DiskFullError as error:
@@ -253,7 +253,7 @@ def _content(*parts: xr.Dataset | None) -> str:
 
 
 def set_aside(path: Path) -> Path:
-    """Give a damaged file a name that is not read, and return it."""
+    """Rename a damaged file so that it is not read, and return its new path."""
     return path.replace(path.with_name(f"{path.name}.damaged"))
 
 

@@ -42,17 +42,17 @@ class Pressed:
     Attributes
     ----------
     force : float
-        Of the indenter on the whole tube, in N.
+        Force of the indenter on the whole tube in N.
     height, width : float
-        Of the lumen at the press, in m.
+        Height and width of the lumen at the press in m.
     area : float
-        Of the lumen's section at the press, in m2.
+        Cross-section of the lumen at the press in m2.
     closed : bool
         Whether the lumen's walls are in contact.
     part : Lumen or None
-        The pressed part; None of an untouched tube.
+        The pressed part; None for an untouched tube.
     walls : xarray.Dataset or None
-        Its walls with fewer points; None of an untouched tube.
+        Its walls with fewer points; None for an untouched tube.
     """
 
     force: float
@@ -70,7 +70,7 @@ class PressPath(NamedTuple):
     Attributes
     ----------
     at : dict of float to Pressed
-        By depth in m, without those that could not be reached.
+        Presses by depth in m, without depths that could not be reached.
     stopped : str
         Reason why some could not be reached; empty otherwise.
     """
@@ -91,9 +91,9 @@ def press(settings: SIPress, depths: Sequence[float]) -> Done[PressPath]:
     Parameters
     ----------
     settings : SIPress
-        Its own depth does not matter.
+        Settings of the press, whose own depth is ignored.
     depths : sequence of float
-        Rising, in m.
+        Rising depths in m.
     """
     reused = cache.holds(press_runs.cache_key(settings, depths))
     stopped = ""
@@ -126,9 +126,9 @@ class Band(NamedTuple):
     Attributes
     ----------
     low, high : float
-        In Hz.
+        Ends of the band in Hz.
     temperature : float
-        Of the air in degC; the matrix at other temperatures follows from it.
+        Air temperature in degC, from which the matrix at other temperatures follows.
     """
 
     low: float
@@ -137,7 +137,7 @@ class Band(NamedTuple):
 
 
 def scattering_key(settings: SISettings, depths: Sequence[float], depth: float, band: Band) -> str:
-    """Return the name in the cache of the scattering of a press."""
+    """Return the cache key of the scattering matrix of a press."""
     return cache.key(
         "scattering",
         {
@@ -155,7 +155,7 @@ def scattering_key(settings: SISettings, depths: Sequence[float], depth: float, 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Compute on one thread: workers share the cores, and sums do not depend on their number."""
+    """Compute on one thread: workers share the cores, and rounding does not depend on threads."""
     before = numba.get_num_threads()
     numba.set_num_threads(1)
     try:
@@ -173,9 +173,9 @@ def scattering(
     Parameters
     ----------
     settings : SISettings
-        Its grid, its air and its losses.
+        Settings, of which the grid, the air and the losses are used.
     name : str
-        In the cache; see :func:`scattering_key`.
+        Cache key; see :func:`scattering_key`.
     band : Band
     part : Lumen
     label : str

@@ -33,7 +33,7 @@ def dask_executor(address: str) -> tuple[Executor, int]:
     Parameters
     ----------
     address : str
-        Of its scheduler, such as ``tcp://127.0.0.1:8786``.
+        Address of its scheduler, such as ``tcp://127.0.0.1:8786``.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def dask_executor(address: str) -> tuple[Executor, int]:
 def _connected(client: Callable[..., Any], address: str) -> Any:
     """Return a client of a scheduler.
 
-    Where something else answers, the client waits for ever: it does so on a thread of its own.
+    If another server answers, the client waits for ever; it therefore runs on its own thread.
     """
     found: Future[Any] = Future()
 
@@ -75,7 +75,7 @@ def _connected(client: Callable[..., Any], address: str) -> Any:
 
     log = logging.getLogger("distributed")
     before = log.level
-    log.setLevel(logging.CRITICAL)  # a failure is reported in our own words
+    log.setLevel(logging.CRITICAL)  # failures are reported by messages of this module
     threading.Thread(target=connect, daemon=True).start()
     scheduler = found.result(1.5 * SCHEDULER_TIMEOUT)
     log.setLevel(before)
@@ -92,7 +92,7 @@ def _reach(address: str) -> None:
 SCHEDULER_TIMEOUT = 10.0
 """Seconds in which a scheduler has to answer."""
 ATTEMPTS = 3
-"""Lost workers after which a task is given up."""
+"""Number of lost workers after which a task is given up."""
 POLL_INTERVAL = 0.2
 """Seconds between polls of the workers."""
 GONE = "the workers or their scheduler are gone; start them and run the same command again"
@@ -113,7 +113,7 @@ class Task:
     failed : callable
         Called in this process with the reason of a failure.
     cost : float
-        Seconds that it is expected to take.
+        Expected time in s.
     """
 
     work: Callable[..., Any]
@@ -167,7 +167,7 @@ class Workers:
 
 
 WORKERS = Optional(Either((Workers,), Number(1, 1024, "processes", whole=True)))
-"""What an argument `workers` can be: a number of processes, a pool, or None for the cores."""
+"""Rule of an argument `workers`: a number of processes, a pool, or None for one per core."""
 
 
 @contextmanager
@@ -203,7 +203,7 @@ def run_tasks(
     ----------
     tasks : iterable of Task
     workers : Workers or concurrent.futures.Executor
-        They are left running, but for Workers when the run is ended by an error or an interrupt.
+        They are left running; only Workers are ended if an error or an interrupt ends the run.
     width : int
         Tasks that are handed over at a time.
     tick : callable
@@ -212,12 +212,12 @@ def run_tasks(
     Raises
     ------
     SimulationError
-        If the executor itself is gone, or its workers cannot start.
+        If the executor itself has shut down, or its workers cannot start.
 
     Notes
     -----
-    A task whose worker is lost is tried again, and the last time alone, so that one which kills
-    its worker takes no other with it. Follow-up tasks go before waiting ones, so that results
+    A task whose worker is lost is tried again. The last attempt runs alone, so that a task which
+    kills its worker does not affect others. Follow-up tasks precede waiting ones, so that results
     are written as soon as possible.
     """
     waiting: deque[Task] = deque(tasks)
