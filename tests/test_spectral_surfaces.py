@@ -104,7 +104,7 @@ def test_section_of_two_parts_is_refused():
     left, right = (trimesh.creation.cylinder(1e-3, 20e-3, sections=24) for _ in range(2))
     left.apply_translation([-2e-3, 0, 0])
     right.apply_translation([2e-3, 0, 0])
-    with pytest.raises(ConfigError, match="consists of 2 parts; use the march"):
+    with pytest.raises(ConfigError, match="consists of 2 parts; use the time-domain solver"):
         rings_of_surface(trimesh.util.concatenate([left, right]))
 
 

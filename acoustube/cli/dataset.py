@@ -78,7 +78,7 @@ def dataset(
         settings, table = recipe_settings(rangefinder)
         report.rows([
             (one.name, f"{one.mean:.6g} +- {one.deviation:.2g}, "
-             + (f"wanders by {one.spread:.2g}" if one.wanders else "stays"))
+             + (f"varies by {one.spread:.2g}" if one.wanders else "constant"))
             for one in table
         ])  # fmt: skip
     recipe = Recipe(

@@ -214,7 +214,7 @@ def _shown(console: Console, port: str) -> Iterator[Show]:
 def _contact_lines(tally: Tally, *, in_place: bool) -> list[str]:
     """Return lines on the contacts, with the tube in a panel."""
     if tally.learning:
-        return ["learning the untouched tube; do not touch it"]
+        return ["recording the untouched tube; do not touch it"]
     if tally.found is None:
         return []
     from acoustube.runs.live_contacts import drawn, in_words

@@ -185,7 +185,7 @@ def in_words(found: Tracked) -> list[str]:
         sure = f"{100 * one.probability:.0f} %"
         lines.append(f"contact {number}: {place} cm, {depth} mm, {force} N, {sure}")
     if not found.fits:
-        lines.append(f"misfit {found.misfit:.2f}: the library does not explain the echo")
+        lines.append(f"misfit {found.misfit:.2f}: the echo differs from the library's")
     return lines
 
 

@@ -60,11 +60,13 @@ def spectral_of_surface(
     try:
         found = scatter_spectral(wall_of(rings), air, frequency, tolerance=tolerance, lossy=lossy)
     except np.linalg.LinAlgError as cause:
-        raise ConfigError("the sections of the lumen overlap themselves; use the march") from cause
+        raise ConfigError(
+            "the sections of the lumen overlap themselves; use --method march"
+        ) from cause
     if not found.typical_error <= max(LARGEST_SPECTRAL_ERROR, tolerance):
         raise ConfigError(
             f"the spectral solver's error estimate is {found.typical_error:.1g}, more than "
-            f"{max(LARGEST_SPECTRAL_ERROR, tolerance):g}; use the march"
+            f"{max(LARGEST_SPECTRAL_ERROR, tolerance):g}; use --method march"
         )
     return found
 

@@ -104,8 +104,8 @@ def _contour(surface: trimesh.Trimesh, height: float, n: int) -> Array:
     n_parts, _ = connected_components(links, directed=False)
     if n_parts > 1:
         raise ConfigError(
-            f"the section at z = {MM * height:.4g} mm consists of {n_parts} parts; use the march "
-            "(acoustube.waves.scatter)"
+            f"the section at z = {MM * height:.4g} mm consists of {n_parts} parts; use the "
+            "time-domain solver, acoustube.waves.scatter or --method march"
         )
     order, _ = depth_first_order(links, 0, directed=False)
     return _even(points[order], n)
