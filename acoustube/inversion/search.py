@@ -20,14 +20,10 @@ from acoustube.waves.scattering import Complex
 
 COARSE, FINE, FINE_REACH = 3e-3, 0.5e-3, 12e-3
 """Steps in m over the places, coarse and fine, and the reach of the fine ones to both sides."""
-DEPTH_STEP, EVERY = 0.125e-3, 2
-"""Step in m of the depths of templates, and the steps between those of a coarse search of all
-places."""
+DEPTH_STEP = 0.125e-3
 NODES, NODES_BEHIND = 0.05, 0.01
 """Distances in m of the places at which the energy of templates is computed: before the first press
 known, and behind, where modes beat over 2 cm."""
-FINE_PLACES = np.arange(-FINE_REACH, FINE_REACH + 1e-9, FINE)
-"""Distances in m of the places of the fine search from that of the coarse one."""
 APART = 0.03
 """Distance in m of candidates that count as different places."""
 DISTINCT = 1.5e-3, 0.5e-3
@@ -133,8 +129,7 @@ class Templates:
         """
         base = self.model.base
         field = base.adjoint(whiten.weighted(residual))
-        every = EVERY if within is None else 1
-        coarse = np.full((len(self.depths[::every]), len(self.places)), -np.inf)
+        coarse = np.full((len(self.depths), len(self.places)), -np.inf)
         sought = within_range(self.places, within)
         zones, starts = self._zones(fronts, temperature, field)
         owner = np.searchsorted(starts, self.places, side="right") - 1
@@ -142,20 +137,19 @@ class Templates:
         for number_of_zone, zone in enumerate(zones):
             here = sought & (owner == number_of_zone)
             if here.any():
-                zone.set_energy(base, precision, self.places[here], every)
-                level = np.abs(zone.correlation(self.places[here], every))
+                zone.set_energy(base, precision, self.places[here])
+                level = np.abs(zone.correlation(self.places[here]))
                 coarse[:, here] = 2 * (2 * level - zone.energy_at(self.places[here]))
         exclude(coarse, self.places, [front.place for front in fronts], sought)
         found: list[tuple[float, float, float]] = []
         if coarse.max() > least:
             for best in apart(coarse.max(axis=0), self.places, number):
-                places = self.places[best] + FINE_PLACES
-                zones[owner[best]].set_energy(base, precision, places)
-                found += self._refined(zones[owner[best]], places, fine)
+                found += self._refined(zones[owner[best]], self.places[best], fine)
         return candidates(found)
 
-    def _refined(self, zone: _Zone, places: Array, count: int) -> list[tuple[float, float, float]]:
-        """Return the highest separate maxima of the correlation with its phase, at places."""
+    def _refined(self, zone: _Zone, place: float, count: int) -> list[tuple[float, float, float]]:
+        """Return the highest separate maxima of the correlation with its phase, about a place."""
+        places = place + np.arange(-FINE_REACH, FINE_REACH + 1e-9, FINE)
         gain = 2 * (2 * zone.correlation(places).real - zone.energy_at(places))
         return separate(gain, places, self.depths, count)
 
@@ -225,7 +219,7 @@ class _Zone:
         """Return the modes' phases from the origin to places, (n_places, n_f, m)."""
         return self.path.phases(places, self.warmer) - self.start
 
-    def set_energy(self, base: Baseband, precision: Complex, places: Array, every: int = 1) -> None:
+    def set_energy(self, base: Baseband, precision: Complex, places: Array) -> None:
         """Compute the energies of templates at nodes about places.
 
         Parameters
@@ -235,17 +229,14 @@ class _Zone:
             Inverse of the covariance of the first samples, transposed, (n, n).
         places : ndarray
             In m, rising.
-        every : int
-            Step of the depths of which the energies are computed.
         """
         step = NODES_BEHIND if len(self.parts) > 1 else NODES
         low, high = places[0] - FINE_REACH - step, places[-1] + FINE_REACH + 2 * step
         self.nodes = np.arange(low, high, step)
-        energy = np.empty((len(self.nodes), len(self._shapes[::every])), np.float32)
+        energy = np.empty((len(self.nodes), len(self.parts[0][0])), np.float32)
         sounds = base.echo_ranges(self.nodes, BEFORE, LASTING, len(precision))
         for some in np.array_split(np.arange(len(self.nodes)), 1 + len(self.nodes) // CHUNK):
-            before = np.maximum(self.nodes[some], self.origin)
-            samples = base.transformed(self._spectra(before, every))
+            samples = base.transformed(self._spectra(np.maximum(self.nodes[some], self.origin)))
             for i, part in zip(some, samples, strict=True):
                 start, stop = sounds[i]
                 heard = part[:, start:stop]
@@ -272,18 +263,14 @@ class _Zone:
         products = self._shapes.conj() * self.field.astype(np.complex64)
         return np.asarray(products.reshape(len(products), -1))
 
-    def correlation(self, places: Array, every: int = 1) -> Complex:
-        """Return the products of the templates with the field, (n_depths, n_places).
-
-        Of the depths in steps of `every`.
-        """
+    def correlation(self, places: Array) -> Complex:
+        """Return the products of the templates with the field, (n_depths, n_places)."""
         factors = self._factors(places).conj()
-        return np.asarray(self._filters[::every] @ factors.reshape(len(places), -1).T)
+        return np.asarray(self._filters @ factors.reshape(len(places), -1).T)
 
-    def _spectra(self, places: Array, every: int) -> Complex:
-        """Return the spectra at places, of every so many depths, (n_places, n_depths, n_f)."""
-        shapes = self._shapes[::every].transpose(2, 1, 0)
-        found = self._factors(places).transpose(2, 0, 1) @ shapes
+    def _spectra(self, places: Array) -> Complex:
+        """Return the spectra at places, (n_places, n_depths, n_f)."""
+        found = self._factors(places).transpose(2, 0, 1) @ self._shapes.transpose(2, 1, 0)
         return np.asarray(np.moveaxis(found, 0, -1))
 
     def _factors(self, places: Array) -> Complex:
