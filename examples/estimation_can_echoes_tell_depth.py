@@ -9,9 +9,9 @@ errors and prediction intervals are evaluated on other presses.
 # %%
 # Cycles of 160 presses
 # ---------------------
-# Random positions along a tube of 1.5 m, four depths of a 10 mm rod, three cycles of each. The
-# carrier of 20 kHz, at which the echo of this rod rises with depth, and the coarse grid keep it
-# short.
+# A 10 mm rod presses a tube of 1.5 m at random positions, to one of four depths. Three cycles are
+# recorded of each press. The carrier is 20 kHz, at which the echo of this rod rises with depth.
+# This carrier and the coarse grid keep the computation short.
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -42,8 +42,8 @@ with tempfile.TemporaryDirectory() as folder:
 # %%
 # Train on three quarters of the presses
 # --------------------------------------
-# All cycles of a press are on the same side. The rangefinder rings twice as long at 20 kHz as at
-# 42 kHz: the first 40 cm are not searched.
+# All cycles of a press belong to the same part, training or evaluation. The transducer rings twice
+# as long at 20 kHz as at 42 kHz; the first 40 cm are therefore not searched.
 how = Processing(frequency=20e3, nearest=0.4)
 feature_settings = estimation.FeatureSettings(kind="echo", processing=how)
 table = estimation.feature_table(cycles, feature_settings)
@@ -55,7 +55,8 @@ model = estimation.train(table.isel(cycle=learned), "echo", feature_settings, ep
 # Evaluate on the others
 # ----------------------
 # Each median error is printed with that of a constant estimate, the median of the true values. The
-# coverage of the intervals is above the nominal 90 %: presses in a known tube are easy.
+# coverage of the intervals is above the nominal 90 %, because presses in a known tube are easy to
+# estimate.
 truth = table.isel(cycle=asked)
 estimates = estimation.estimate(model, truth)
 errors, constant = {}, {}
@@ -75,7 +76,7 @@ for name, label, unit, scale in targets:
 # %%
 # Estimates and their intervals
 # -----------------------------
-# Each point is a cycle, with its prediction interval of nominally 90 %.
+# Each point is a cycle. Its bar is the prediction interval of nominally 90 %.
 figure, panels = plt.subplots(1, 2, figsize=(10, 4.5), layout="constrained")
 for axes, (name, label, unit, scale) in zip(panels, targets, strict=True):
     values = scale * truth[label].values

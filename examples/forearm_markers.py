@@ -1,8 +1,9 @@
-"""Write `forearm_markers.csv`: two columns of markers on a forearm, as motion capture sees them.
+"""Write `forearm_markers.csv`: two columns of markers on a forearm, as motion capture records them.
 
-A forearm of 25 cm, 17 cm around at the wrist and 26 cm at the elbow, lies askew in the room. Eight
-markers each on its two sides, placed and seen to half a millimetre; one has slipped by 3 cm, one
-was not seen. Run it from anywhere; it writes the table to its own folder.
+The forearm is 25 cm long, 17 cm around at the wrist and 26 cm around at the elbow. It is rotated
+relative to the axes of the room. Each of its two sides has eight markers, with errors of half a
+millimetre in each coordinate. One marker has slipped by 3 cm and one was not recorded. The script
+can be run from anywhere; it writes the table to its own folder.
 """
 
 # %%

@@ -2,15 +2,16 @@
 How does a D-shaped bore close?
 ===============================
 
-A tube need not be round. One whose bore is flat below, read as the surface of its wall from an
-STL file, is compared here with the sleeve paper's round one of the same outer diameter.
+A tube need not be round. Here a tube whose bore is flat at the bottom is read from an STL file, as
+the surface of its wall. It is compared with the sleeve paper's round tube of the same outer
+diameter.
 """
 
 # %%
 # Press both
 # ----------
-# The D-shaped wall is filled with tetrahedra, the round one with hexahedra, both coarse to be
-# quick.
+# The D-shaped wall is meshed with tetrahedra, the round wall with hexahedra. Both meshes are
+# coarse, to save time.
 import sys
 import tempfile
 from pathlib import Path
@@ -29,7 +30,7 @@ from acoustube.tube import Tube
 
 DEPTH, REACH = 2e-3, 0.03
 rod, round_tube = Indenter(diameter=10e-3), Tube()
-checkout = Path(sys.argv[0]).resolve().parents[1]  # where this script lies in
+checkout = Path(sys.argv[0]).resolve().parents[1]  # the checkout that this script is in
 surface = read_surface(checkout / "meshes" / "d_bore.stl")
 d_tube = tube_of(
     surface, shear_modulus=round_tube.shear_modulus, poisson_ratio=round_tube.poisson_ratio
@@ -46,8 +47,8 @@ presses = {
 # %%
 # Remaining lumen area
 # --------------------
-# The D-shaped lumen is smaller and lower, with a thick wall below: the same depth closes more of
-# it.
+# The D-shaped lumen is smaller and lower, with a thick wall below it. The same depth therefore
+# closes more of it.
 areas = {
     name: np.array([measure(press, i, np.zeros(1)).area[0] for i in range(len(press.depth))])
     for name, press in presses.items()
@@ -62,9 +63,9 @@ for name, press in presses.items():
 # %%
 # In three dimensions
 # -------------------
-# A quarter is computed, since wall and rod are symmetric. Written as a VTU file, as for ParaView,
-# and read by PyVista, it is reflected once and leaves the tube cut open. Colours are the
-# displacement of the silicone.
+# Wall and rod are symmetric, so only a quarter of the tube is computed. It is written as a VTU
+# file, as for ParaView, and read by PyVista. It is reflected once, so that the tube is drawn cut
+# open. Colours show the displacement of the silicone.
 d_press = presses["D-shaped"]
 with tempfile.TemporaryDirectory() as folder:
     vtu.write(d_press.mesh, d_press.depth[-1:], d_press.displacement[-1:], Path(folder))

@@ -2,8 +2,9 @@
 How much does the support matter?
 =================================
 
-A tube on a plain floor tilts off it on both sides of the press; one whose bottom line is fixed
-does not. The section under the rod hardly depends on the support, the force does.
+A tube that lies free on the floor lifts off it on both sides of the press. A tube whose bottom line
+is fixed to the floor does not. The section under the rod hardly depends on the support; the force
+does.
 """
 
 # %%
@@ -25,8 +26,8 @@ presses = {
 }
 
 # %%
-# Compare
-# -------
+# Compare force and area
+# ----------------------
 force = {support: press.contact_force[-1] for support, press in presses.items()}
 area = {support: measure(press, -1, np.zeros(1)).area[0] for support, press in presses.items()}
 stiffening = force["held"] / force["free"] - 1

@@ -2,17 +2,19 @@
 Where are two presses?
 ======================
 
-The highest echo tells one press at best, and that one late. The whole waveform holds both: a
-library of the scattering of presses over depth is fitted to the cycles, and tells number, place,
-depth and force of the contacts, with their uncertainty.
+The highest echo locates one press at best, and its distance is too large. The whole waveform
+contains both presses. Here a forward model, built on a library of the scattering of presses over
+depth, is fitted to the cycles. The fit estimates the number of contacts, and the position, depth
+and force of each with their uncertainty.
 """
 
 # %%
 # A library
 # ---------
-# Once for each tube: the scattering of a 25 mm rod at depths from 1 to 5 mm. This one is of a
-# coarse mesh and a low accuracy, so that it takes seconds; at a terminal,
-# ``acoustube library --indenter 25 --depth 0.5:8:0.25 --out lib`` makes one that lasts.
+# A library is computed once for each tube. This one contains the scattering of a 25 mm rod at
+# depths from 1 to 5 mm. Its mesh is coarse and its accuracy low, so that it takes seconds. At a
+# terminal, ``acoustube library --indenter 25 --depth 0.5:8:0.25 --out lib`` computes one for
+# lasting use.
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -46,9 +48,9 @@ with tempfile.TemporaryDirectory() as folder:
 # %%
 # A recording
 # -----------
-# Two presses at once, of depths that the library does not have, and two hundred cycles of the
-# untouched tube, from which its irregularities are learned. Both are simulated; those of a sensor
-# are read by :func:`acoustube.recordings.read`.
+# The recording is of two presses at once, at depths that the library does not contain. Another
+# recording, of two hundred cycles of the untouched tube, serves to learn the tube's irregularities.
+# Both are simulated here; recordings of a sensor are read by :func:`acoustube.recordings.read`.
 TRUE_PLACES, TRUE_DEPTHS = [0.612, 0.874], [2.7e-3, 4.2e-3]
 wall = acoustube.load_config(indenter_mm=25, depth_mm=5, mesh="coarse")
 press, frequency = acoustube.pressed(wall, TRUE_DEPTHS), np.arange(30e3, 54e3, 50.0)
@@ -66,8 +68,9 @@ cycles = recording["signal"].values
 # %%
 # Its inversion
 # -------------
-# The forward model has the band of the rangefinder, the clutter, and priors of what is not known
-# exactly: temperature, gain, the transducer's resonance and quality factor.
+# The forward model consists of the band of the rangefinder, the clutter (the echoes of the tube's
+# irregularities), and priors of the parameters that are not known exactly: temperature, gain, and
+# the transducer's resonance and quality factor.
 base = baseband_of(rangefinder, library.radius, LENGTH, AIR, library.modes)
 model = ForwardModel(library, base, measured_clutter(base, untouched), Priors())
 found = Inverter(model)(cycles)
@@ -83,16 +86,17 @@ print(f"misfit {found.misfit:.3g}")
 # %%
 # The highest echo
 # ----------------
-# The sleeve paper's processing of the same cycles, of a lower prominence, tells one distance: that
-# of sound that was trapped under the second press, 8 cm late.
+# The sleeve paper's processing of the same cycles, with a lower prominence, gives one distance. It
+# is that of sound that was trapped under the second press, and is 8 cm too large.
 highest = locate(recording["time"].values, cycles, Processing(prominence=2e-3), temperature=AIR)
 print(f"highest echo at {100 * np.median(highest.distance):.1f} cm")
 
 # %%
 # The picture
 # -----------
-# The echo and what explains it; below, the contacts, and in grey the depths at which a third press
-# may have been missed: behind a press more is hidden. ``acoustube invert --figure`` draws more.
+# The upper panel shows the recorded echo and the echo of the two contacts by the forward model. The
+# lower panel shows the contacts, and in grey the depths at which a third press may have been
+# missed: behind a press more is hidden. ``acoustube invert --figure`` draws more.
 places, limits = limits_along(found.detection_limit, model.span)
 limits = np.minimum(limits, library.tools[0].depth[-1])
 _, (echo, where) = plt.subplots(2, 1, sharex=True, figsize=(8, 6), layout="constrained")

@@ -2,16 +2,16 @@
 What does a sensor record?
 ==========================
 
-A rangefinder records the echo filtered by its own resonance, with noise, and quantised.
-Here a recording of a press is simulated, written to a file like that of a real sensor, read back
-and processed, and compared with the same cycle of an ideal rangefinder.
+A rangefinder filters the echo by its own resonance, adds noise, and quantises it. Here a recording
+of a press is simulated, written to a file like that of a real sensor, read back and processed. The
+result is compared with the same cycle of an ideal rangefinder.
 """
 
 # %%
 # A press
 # -------
-# Its scattering matrix is computed once, and placed 40 cm into a tube of 1.2 m. The band covers
-# the spectrum of the rangefinder's burst of 42 kHz.
+# The scattering matrix of the press is computed once, and placed 40 cm into a tube of 1.2 m. The
+# band covers the spectrum of the rangefinder's burst of 42 kHz.
 import dataclasses
 import tempfile
 from pathlib import Path
@@ -38,8 +38,8 @@ press = PlacedScatterer(matrix, TRUE_DISTANCE)
 # The recording, and the clean cycle
 # ----------------------------------
 # ``rangefinder.to_json()`` lists the parameters of a rangefinder; each effect can be switched off.
-# Fifty cycles are written with the metadata of a sensor's software: the sampling rate, the
-# temperature that the board reports, and the true distance as a label.
+# Fifty cycles are written to a file with the metadata that a sensor's software records: the
+# sampling rate, the temperature that the board reports, and the true distance as a label.
 rangefinder = ranging.Rangefinder()
 clean = dataclasses.replace(
     rangefinder, noise=0.0, clutter=0.0, drift=0.0, bits=16, temperature_bias=0.0
@@ -63,7 +63,7 @@ print(recording)
 # %%
 # The same processing
 # -------------------
-# ``acoustube process press.npz`` does the same to every cycle of a file.
+# ``acoustube process press.npz`` processes every cycle of a file in the same way.
 how = signals.Processing(prominence=0.002)
 time = recording["time"].values
 located = signals.locate(
@@ -76,9 +76,10 @@ print(f"recording: {100 * np.median(located.distance):.2f} cm, +- {1e3 * spread:
 print(f"simulated without noise: {100 * float(simulated.distance):.2f} cm")
 
 # %%
-# Both are 4 cm too far, as their common offset is not calibrated: the send pulse overdrives the
-# ADC, which shifts its apparent middle. ``acoustube calibrate`` corrects it. The contributions of
-# noise, quantisation and the tube's irregularities are small here.
+# Both distances are 4 cm too large, because their common offset is not calibrated: the send pulse
+# overdrives the ADC, which shifts the pulse's apparent middle. ``acoustube calibrate`` corrects
+# this offset. The contributions of noise, quantisation and the tube's irregularities are small
+# here.
 place = 100 * signals.distance(time - np.median(located.send_time), 20.0)
 seen = (place > 25) & (place < 110)
 figure, (above, below) = plt.subplots(2, 1, figsize=(8, 6), layout="constrained")

@@ -3,15 +3,17 @@ What does a robot's arm feel?
 =============================
 
 A finger slides along a tube on the moving forearm of a robot. MuJoCo computes the motion and the
-forces of the contact, the fast sensor what the tube's rangefinder records of them, and the tracker
-finds the contact in the cycles alone. ``pip install 'acoustube[robot]'`` brings MuJoCo.
+forces of the contact, and the fast sensor (:class:`acoustube.sensor.TubeSensor`) simulates the
+cycles that the tube's rangefinder records. The tracker estimates the contact from these cycles
+alone. ``pip install 'acoustube[robot]'`` installs MuJoCo.
 """
 
 # %%
 # A library
 # ---------
-# Once for each tube: the scattering of the finger at depths up to 3 mm. This one is coarse, so that
-# it takes seconds; ``acoustube library --depth 0.5:8:0.25`` makes one that lasts.
+# A library is computed once for each tube: the scattering of the finger at depths up to 3 mm. This
+# one is coarse, so that it takes seconds; ``acoustube library --depth 0.5:8:0.25`` computes one for
+# lasting use.
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -29,7 +31,7 @@ from acoustube.runs.libraries.plan import tool_plans
 from acoustube.sensor import Contact, TubeSensor
 
 LENGTH, SOURCE = 1.0, 0.25
-"""Length of the tube, and the part of it before the forearm, in m."""
+"""Length of the tube, and of the part of it before the forearm, in m."""
 with tempfile.TemporaryDirectory() as folder:
     settings = Path(folder) / "coarse.toml"
     settings.write_text('[indentation]\nmesh = "coarse"\n')
@@ -44,8 +46,8 @@ print(f"up to {strongest:.2f} N at 3 mm")
 # %%
 # An arm
 # ------
-# The forearm swings about the elbow; on it lies the tube. The finger is moved along it, and pressed
-# onto it with a force that rises and falls.
+# The forearm swings about the elbow, and the tube lies on it. The finger moves along the tube, and
+# presses onto it with a force that rises and falls.
 MODEL = """
 <mujoco>
   <option timestep="0.001" integrator="implicitfast">
@@ -78,7 +80,7 @@ forearm, finger = (model.body(name).id for name in ("forearm", "finger"))
 
 
 def touched():
-    """Return the place of the contact along the forearm in m, and its normal force in N."""
+    """Return the position of the contact along the forearm in m, and its normal force in N."""
     total, force = 0.0, np.zeros(6)
     for i in range(data.ncon):
         mujoco.mj_contactForce(model, data, i, force)
@@ -88,12 +90,13 @@ def touched():
 
 
 # %%
-# Cycles, and the contact found in them
-# -------------------------------------
-# Twenty cycles a second. The tracker knows the library, the rangefinder and the clutter of the
-# untouched tube; of the finger it knows what each cycle says, with its noise and rounding, and that
-# it moves by some centimetres a second: the echo's phase repeats every 4 mm. Both use one library:
-# errors are those of noise and motion, not of the model.
+# Cycles, and the contact estimated from them
+# -------------------------------------------
+# There are twenty cycles a second. The tracker is given the library, the rangefinder and the
+# clutter of the untouched tube. All that it is given of the finger are the cycles, with their noise
+# and rounding, and that the finger moves by some centimetres a second. It needs this speed because
+# the echo's phase repeats every 4 mm. Sensor and tracker use the same library, so that the errors
+# are those of noise and motion, not of the model.
 free = np.stack([sensor.read([], seed=1, cycle=i) for i in range(100)])
 base = Baseband(
     sensor.rangefinder, sensor.tool_library.radius, LENGTH, 20.0, sensor.tool_library.modes
@@ -125,15 +128,15 @@ told = np.array([
 ])  # fmt: skip
 place_error, force_error = np.nanmedian(np.abs(told - np.stack([places, forces], 1)), axis=0)
 found_share = np.mean(np.isfinite(told[:, 0]))
-print(f"found in {100 * found_share:.0f} % of the cycles; median errors {1e3 * place_error:.2f} mm "
-      f"and {force_error:.3f} N")  # fmt: skip
+print(f"detected in {100 * found_share:.0f} % of the cycles; median errors "
+      f"{1e3 * place_error:.2f} mm and {force_error:.3f} N")  # fmt: skip
 
 # %%
-# True and found contact, cycle by cycle
-# --------------------------------------
-# To scale: the finger touches the tube on the forearm; the line through it is the contact found.
-# Its echo begins at the dotted line; the transducer's resonance and the press itself delay its
-# maximum by 6 to 14 cm.
+# True and estimated contact, cycle by cycle
+# ------------------------------------------
+# The upper panel is drawn to scale: the finger touches the tube on the forearm, and the line
+# through the tube is the estimated contact. In the panel below, the echo begins at the dotted line.
+# The transducer's resonance and the press itself delay its maximum by 6 to 14 cm.
 figure, panels = plt.subplot_mosaic(
     [["scene", "scene"], ["echo", "echo"], ["place", "force"]],
     figsize=(8, 8.5), layout="constrained", height_ratios=(2.3, 1, 1),
@@ -146,13 +149,13 @@ ends = np.array([[0, 0, 0], [0.7, 0, 0]])
 bone = scene.add_patch(plt.Polygon(ends[:, [0, 2]], color="0.8", label="forearm"))
 tube = scene.add_patch(plt.Polygon(ends[:, [0, 2]], color="C0", label="tube"))
 tip = scene.add_patch(plt.Circle((0, 0), 0.0125, color="C1", label="finger"))
-(mark,) = scene.plot([], [], lw=1.5, color="C3", label="contact found")
+(mark,) = scene.plot([], [], lw=1.5, color="C3", label="estimated contact")
 scene.set(xlim=(-0.06, 0.8), ylim=(-0.3, 0.3), aspect="equal", xlabel="x (m)", ylabel="z (m)")
 scene.legend(loc="upper left", ncols=4)
 change = np.stack([frame[3] - quiet for frame in frames])[:, heard]
 change -= np.median(change, axis=1, keepdims=True)  # the slow drift of the offset
 (wave,) = echo.plot(distance[heard], change[0], lw=0.7)
-where = echo.axvline(0, color="C3", ls=":", label="contact found")
+where = echo.axvline(0, color="C3", ls=":", label="estimated contact")
 largest = 1.1 * np.abs(change).max()
 echo.set(xlabel="distance along the tube (cm)", ylabel="ADC counts", xlim=(25, 100))
 echo.set(ylim=(-largest, largest), title="cycle, less the untouched tube's")
@@ -162,7 +165,7 @@ for name, true, found, unit in (
     ("place", 100 * places, 100 * told[:, 0], "cm"), ("force", forces, told[:, 1], "N"),
 ):  # fmt: skip
     panels[name].plot(times, true, color="C1", label="true")
-    panels[name].plot(times, found, ".", color="C3", label="found")
+    panels[name].plot(times, found, ".", color="C3", label="estimated")
     panels[name].set(xlabel="time (s)", ylabel=f"{name} ({unit})")
     lines.append(panels[name].axvline(0, color="0.5", lw=0.8))
 panels["force"].set_ylim(0, 1.2 * forces.max())
@@ -170,7 +173,7 @@ panels["place"].legend(loc="lower right")
 
 
 def band(low, high, elbow, turn):
-    """Return the corners of a bar along the forearm, between two heights over its axis in m."""
+    """Return the corners of a bar along the forearm, between two heights above its axis in m."""
     corners = np.array([[0, 0, low], [0.7, 0, low], [0.7, 0, high], [0, 0, high]])
     return (elbow + corners @ turn.T)[:, [0, 2]]
 

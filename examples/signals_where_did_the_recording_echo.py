@@ -3,8 +3,8 @@ Where did the recording echo?
 =============================
 
 The processing is the same for simulated and recorded signals. Here it is applied to a synthetic
-recording, 200 kHz and 12 bit, with noise: a send pulse, and one echo from 75 cm that a lossy tube
-has attenuated to 5 %.
+recording with noise, of 200 kHz and 12 bit. The recording contains a send pulse and one echo from
+75 cm, attenuated to 5 % by a lossy tube.
 """
 
 # %%

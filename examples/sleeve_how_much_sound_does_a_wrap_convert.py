@@ -2,14 +2,14 @@
 How much sound does a wrap convert?
 ===================================
 
-A plane wave enters a tube that is wrapped around an arm. Curvature couples it to the mode (1,1),
-which propagates at 42 kHz: power is exchanged between the two, with a beat of a few centimetres.
+A plane wave enters a tube that is wrapped around an arm. The curvature couples it to mode (1,1),
+which propagates at 42 kHz. The two exchange power, with a beat length of a few centimetres.
 """
 
 # %%
 # The wrap
 # --------
-# The sleeve paper's bore, wound around a radius of 4 cm with a pitch of 3.5 cm.
+# The tube has the sleeve paper's bore and is wound around a radius of 4 cm with a pitch of 3.5 cm.
 import matplotlib.pyplot as plt
 import numpy as np
 

@@ -2,15 +2,15 @@
 Will it fit my arm?
 ===================
 
-Two tubes are wound around a forearm of given length and girths. How long must they be, how much
-skin do they cover, and where on the arm is a press at a distance of 1.1 m?
+Two tubes are wound around a forearm of given length and girths. How long must the tubes be, how
+much skin do they cover, and where on the arm is a press at a distance of 1.1 m along the tube?
 """
 
 # %%
 # From the dimensions of an arm to tubes
 # --------------------------------------
-# Lengths are in m: a sleeve of 25 cm, 17 cm around at the wrist and 26 cm below the elbow. The
-# first 15 cm of each tube lead to its sensor.
+# The sleeve is 25 cm long, 17 cm around at the wrist and 26 cm around below the elbow; lengths in
+# the code are in m. The first 15 cm of each tube lead to its sensor.
 import tempfile
 from pathlib import Path
 
@@ -29,8 +29,8 @@ print("\n".join(in_words(tubes, found)))
 # %%
 # A press at 1.1 m
 # ----------------
-# A distance has a standard deviation of about 5 cm along the tube. A loop is longer than that on
-# this arm, so the position is a patch, not a ring around the arm.
+# An estimated distance has a standard deviation of about 5 cm along the tube. A loop on this arm is
+# longer than that. The estimated position is therefore a patch, not a ring around the arm.
 DISTANCE = 1.1
 x, y, z = tubes[0].place(DISTANCE)
 angle = np.degrees(np.arctan2(y, x)) % 360
@@ -39,8 +39,8 @@ print(f"{100 * DISTANCE:g} cm: {100 * z:.1f} cm along the arm, {angle:.0f} degre
 # %%
 # In three dimensions
 # -------------------
-# The picture of ``acoustube sleeve``: tubes in colours within their range and grey outside of it,
-# the press in red with the uncertainty of its position.
+# This is the picture of ``acoustube sleeve``. Tubes are coloured within their range and grey
+# outside of it. The press is red, with the uncertainty of its position.
 picture = Picture(
     tubes=tuple(tubes), detection_range=found.detection_range, outer_diameter=11.1e-3,
     contacts=((0, DISTANCE),),

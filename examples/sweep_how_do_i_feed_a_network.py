@@ -2,17 +2,18 @@
 How do I feed a network?
 ========================
 
-A small sweep, cycles of a rangefinder for each of its cases, and shuffled batches of these for a
-training loop: with NumPy, and as a PyTorch data set where PyTorch is installed.
+A small sweep is computed, and cycles of a rangefinder are recorded for each of its cases. They are
+served in shuffled batches for a training loop, with NumPy, and as a PyTorch data set where PyTorch
+is installed.
 """
 
 # %%
 # A sweep and a dataset
 # ---------------------
-# Four depths and the untouched tube, at three positions. The carrier of 20 kHz and the coarse grid
-# are chosen to be quick. The workers are threads here; without ``executor`` they are processes, and
-# a script must then do this under ``if __name__ == "__main__":``. Write to another folder than a
-# temporary one to keep the files.
+# The sweep has four depths and the untouched tube, at three positions. The carrier of 20 kHz and
+# the coarse grid save time. The workers are threads here. Without ``executor`` they are processes,
+# and a script must then start the sweep under ``if __name__ == "__main__":``. The folder is
+# temporary here; to keep the files, use another one.
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
@@ -42,9 +43,10 @@ print(cycles)
 # %%
 # Batches with NumPy
 # ------------------
-# Reading is faster in the order of the file, so only the choice of a batch is random.
+# Reading in the order of the file is faster. Each batch is therefore a random choice of cycles,
+# read in the order of the file.
 def batches(cycles, size, seed):
-    """Yield signals (size, time) as shares of full scale, and depths, in random order."""
+    """Yield signals (size, time) as fractions of full scale, and depths, in random order."""
     order = np.random.default_rng(seed).permutation(cycles.sizes["cycle"])
     for start in range(0, len(order), size):
         some = np.sort(order[start : start + size])
@@ -63,7 +65,7 @@ print(f"{len(means)} batches, {len(labels)} cycles")
 # %%
 # The same for PyTorch
 # --------------------
-# PyTorch needs only these two methods.
+# PyTorch needs only the methods ``__len__`` and ``__getitem__``.
 class Cycles:
     """A map-style data set of signals and depths."""
 
@@ -87,8 +89,9 @@ if find_spec("torch"):
 # %%
 # One cycle of each depth
 # -----------------------
-# All are of the nearest position, 40 cm. First is the transducer's ring-down, which overdrives the
-# ADC; the echo follows on its tail. Cycles are drawn one below the other.
+# All cycles are of the nearest position, 40 cm. They are drawn one below the other. Each begins
+# with the transducer's ring-down, which overdrives the ADC; the echo follows on the tail of the
+# ring-down.
 figure, axes = plt.subplots(figsize=(9, 5), layout="constrained")
 time = 1e3 * cycles["time"].values
 depths, places = np.unique(labels), cycles["true_distance"].values

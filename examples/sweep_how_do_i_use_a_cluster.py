@@ -2,16 +2,16 @@
 How do I use a cluster?
 =======================
 
-A sweep takes any executor for its workers, and Dask has one. Here the cluster is two threads of
-this process; on a real one only its address differs, as with ``acoustube sweep --dask ADDRESS``.
-It needs ``pip install 'acoustube[dask]'``.
+A sweep takes any executor for its workers, for example that of Dask. Here the cluster consists of
+two threads of this process. For a real cluster only the address differs, as with
+``acoustube sweep --dask ADDRESS``. Dask is installed by ``pip install 'acoustube[dask]'``.
 """
 
 # %%
 # A plan of 24 cases
 # ------------------
-# Two depths and twelve positions share one load path through both depths, and two scattering
-# matrices. The carrier of 20 kHz and the coarse grid are chosen to be quick.
+# The cases are of two depths and twelve positions. They share one load path through both depths,
+# and two scattering matrices. The carrier of 20 kHz and the coarse grid save time.
 import tempfile
 from pathlib import Path
 
@@ -47,9 +47,9 @@ print(f"{cases.sizes['press']} cases in {len(stream.data)} tasks, {failed} faile
 # %%
 # The tasks over time, and their result
 # -------------------------------------
-# The press comes first, then both matrices in parallel, then the recordings. In a second run
-# press and matrices are cached, and their bars are short. On the right, losses in the tube
-# attenuate the echo by 19 dB per metre of distance.
+# The press is computed first, then both matrices in parallel, then the recordings. In a second run
+# press and matrices are taken from the cache, and their bars are short. The right panel shows that
+# losses in the tube attenuate the echo by 19 dB per metre of distance.
 colours = {"press": "C0", "scattering": "C1", "simulate_cases": "C2"}
 threads = sorted({task["thread"] for task in stream.data})
 began = min(task["startstops"][0]["start"] for task in stream.data)

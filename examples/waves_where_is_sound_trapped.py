@@ -2,10 +2,11 @@
 Where is sound trapped?
 =======================
 
-The (2,1) mode cuts on at 42.24 kHz in the round bore, just above the carrier. On both sides of a
-deep press the lumen is wider, and the corresponding mode propagates from 38 kHz on; under the rod,
-where the lumen is flat, from 62 kHz on. Between these sections it is trapped, and rings after the
-pulse: the late echoes of deep presses.
+Mode (2,1) cuts on at 42.24 kHz in the round bore, just above the carrier. On both sides of a deep
+press the lumen is wider, and the corresponding mode propagates at 38 kHz and above. Under the rod,
+where the lumen is flat, it propagates only at 62 kHz and above. Sound in this mode is therefore
+trapped in the wider section, between the rod and the round bore. It rings after the pulse and
+causes the late echoes of deep presses.
 """
 
 # %%

@@ -2,18 +2,18 @@
 Why does amplitude mislead?
 ===========================
 
-The harder the press, the narrower the lumen: should the echo not grow? At 42 kHz it does not,
-since most of the reflected power is in higher modes. At lower carriers only the plane wave
-propagates, and the echo grows with depth.
+The harder the press, the narrower is the lumen, so one expects a higher echo. At 42 kHz the echo
+does not grow steadily with depth, since most of the reflected power is in higher modes. At lower
+carriers only the plane wave propagates, and the echo grows with depth.
 """
 
 # %%
 # Four depths, three carriers
 # ---------------------------
-# A 10 mm rod in the middle of a tube of 1 m, with losses, eleven grid cells across the bore. The
-# four scattering matrices serve all carriers. The sweep's workers are threads here; without
-# ``executor`` they are processes, and a script must then start the sweep under ``if __name__ ==
-# "__main__":``.
+# A 10 mm rod presses the middle of a tube of 1 m, with losses, on eleven grid cells across the
+# bore. The four scattering matrices serve all carriers. The sweep's workers are threads here.
+# Without ``executor`` they are processes, and a script must then start the sweep under
+# ``if __name__ == "__main__":``.
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -41,7 +41,7 @@ with tempfile.TemporaryDirectory() as folder:
 # %%
 # The highest echo
 # ----------------
-# At 10 and at 20 kHz it rises with every step, at 42 kHz it falls and rises again.
+# At 10 and at 20 kHz the echo rises with every step of depth. At 42 kHz it falls and rises again.
 absorbing = cases.sel(source_end="absorbing")
 heights = {}
 for khz in (10, 20, 42):
@@ -53,11 +53,11 @@ for khz in (10, 20, 42):
 # %%
 # Where the power goes
 # --------------------
-# Reflected power of a press of 4 mm for an incident plane wave, by mode. From 25.4 kHz on (1,1)
-# propagates too, with ten times the power or more; a piston is not sensitive to that mode. The
-# plane wave's part falls as the wavelength approaches the length of the press, since the
-# reflections of its two flanks cancel. For this short rod that happens above 20 kHz, for rods of 25
-# and 35 mm at 20 kHz, so that only 10 kHz remains.
+# The right panel shows the power that a press of 4 mm reflects of an incident plane wave, by mode.
+# Above 25.4 kHz mode (1,1) propagates too, with ten times the power or more. A piston is not
+# sensitive to that mode. The plane wave's part falls as the wavelength approaches the length of the
+# press, since the reflections of its two flanks cancel. For this short rod that happens above
+# 20 kHz. For rods of 25 and 35 mm it happens at 20 kHz, so that only 10 kHz remains.
 matrix = scattering[4e-3]
 plane = matrix.modes.index("00")
 reflected = np.abs(matrix.s[:, 0, :, 0, plane]) ** 2

@@ -28,50 +28,50 @@ from acoustube.waves.scattering import Complex
 HALF_WIDTH = 1 / 7
 """Half the width of the band over the carrier frequency: 36 to 48 kHz about 42 kHz."""
 CHIRP_BAND = 0.6
-"""Half the width of a chirp's band in its bandwidths, where that is wider."""
+"""Half the width of the band over the bandwidth of the drive, where that gives a wider band."""
 TAPER = 1 / 6
-"""Part of the band over which its ends are tapered, at each end."""
+"""Fraction of the band over which each of its ends is tapered."""
 AFTER_CLIPPING, FADE, SETTLED = 0.1e-3, 0.2e-3, 0.3e-3
-"""Times in s from the end of clipping to the data that count, over which these fade in, and after
-which the baseband is used."""
+"""Times in s: from the end of clipping to the start of the fade-in of the samples, duration of the
+fade-in, and from its end to the first sample of the baseband that is used."""
 DITHER = 0.1
-"""Noise in counts, rms, below which rounding is not white."""
+"""Rms noise in counts below which the rounding error is not white."""
 QUIET_SHARE = 0.3
-"""Last part of a cycle whose mean is subtracted from it."""
+"""Fraction of a cycle, at its end, from which the cycle's offset is estimated."""
 TUBE = Number(0.01, 100.0, "m")
 CYCLE = Number(2, 1e6, "samples", whole=True)
 SLOWEST = 318.0
-"""Speed of sound in m/s at -21 degC, which sets the end of the window: the same at all
-temperatures, so that clutter learned at one fits another."""
+"""Speed of sound in m/s at -21 degC, which sets the end of the window. The window is the same at
+all temperatures, so that clutter learned at one temperature can be used at another."""
 FEWEST_CYCLES = 8
-"""Cycles from which on their noise is estimated from their scatter."""
+"""Least number of cycles whose noise is estimated from their scatter."""
 
 
 class Baseband:
-    """Grid of frequencies and times, and the spectrum's known factors, at one temperature.
+    """Frequencies and times of the baseband, and known factors of the spectrum, at one temperature.
 
     Parameters
     ----------
     rangefinder : Rangefinder
     radius, length : float
-        Of the tube, in m.
+        Radius of the bore and length of the tube, in m.
     temperature : float
-        Nominal, of the air, in degC.
+        Nominal temperature of the air, in degC.
     modes : tuple of str
-        Whose wavenumbers are needed, the plane mode first.
+        Modes whose wavenumbers are needed, the plane mode first.
     n_samples : int, optional
-        Samples of a cycle; those of the rangefinder by default.
+        Number of samples in a cycle; that of the rangefinder by default.
     wrap : Wrap, optional
-        Of a tube that is bent; it is straight by default.
+        Curvature and torsion of a wrapped tube; the tube is straight by default.
 
     Raises
     ------
     ConfigError
-        If the sampling rate is too low for the carrier, or a cycle too short.
+        If the band is too wide, the sampling rate too low for the carrier, or a cycle too short.
     """
 
     freedom = 1.0
-    """Expected square of a whitened sample: 1 of a complex one, 1/2 of a real one."""
+    """Expected squared magnitude of a whitened sample: 1 if it is complex, 1/2 if it is real."""
 
     @checked(
         rangefinder=Rangefinder, radius=BORE, length=TUBE, temperature=TEMPERATURE,
@@ -106,7 +106,7 @@ class Baseband:
         end = min(flight + max(1e-3, late), self.n_samples / self.rate - 0.5e-3)
         start = self.clear + AFTER_CLIPPING + FADE + SETTLED
         drive = self._drive()
-        # A compressed echo is as early as its middle: it begins half a duration before.
+        # A compressed echo is at the middle of the recorded one, which begins half a drive earlier.
         self.turn = np.ones(n, complex)
         if is_compressed(rangefinder):
             middle = rangefinder.drive.duration / 2
@@ -128,14 +128,13 @@ class Baseband:
         self.gain = self.press_gain(np.zeros((1, 2)))[0][0]
 
     def _period(self, least: int) -> int:
-        """Return the samples of the period of the transforms."""
+        """Return the period of the transforms in samples, not less than a given number."""
         return int(next_fast_len(least))
 
     def _band(self, carrier: float) -> tuple[NDArray[np.int_], Array]:
-        """Return the numbers of the frequencies about a carrier in Hz, and their taper.
+        """Return the bins of the frequencies about a carrier in Hz, and their taper.
 
-        A chirp's band is as wide as the chirp; of anything else it is that of a resonant
-        transducer.
+        The band extends to both sides of the carrier by :func:`half_width`.
         """
         half = half_width(self.rangefinder)
         low, high = carrier - half, carrier + half
@@ -155,17 +154,17 @@ class Baseband:
 
     @property
     def window(self) -> Array:
-        """Times of the baseband that are used, in s from the start of the record, (n_time,)."""
+        """Times of the baseband samples used, in s from the start of the record, (n_time,)."""
         return self.time[self.used]
 
     @cached_property
     def places(self) -> Array:
-        """Distances in m from which sound comes back at these times, (n_time,)."""
+        """Distances in m whose echoes arrive at the times of :attr:`window`, (n_time,)."""
         return self.path.place_at(np.maximum(self.window - self.rangefinder.lead, 0.0))
 
     @property
     def interval(self) -> float:
-        """Time in s from a sample of the baseband to the next."""
+        """Interval in s between samples of the baseband."""
         return float(self.time[1] - self.time[0])
 
     @property
@@ -180,15 +179,17 @@ class Baseband:
         Parameters
         ----------
         places : ndarray
-            In m, (n_places,).
+            Distances in m, (n_places,).
         before, lasting : float
-            Times in s before the arrival of an echo, and after that of the end of the drive.
+            Times in s by which a range begins before the arrival of the echo, and ends after the
+            arrival of the end of the drive.
         n : int
+            Number of samples.
 
         Returns
         -------
         ndarray
-            First sample, and the one after the last, at least two samples, (n_places, 2).
+            First sample and the one after the last, at least two samples apart, (n_places, 2).
         """
         arrival = np.interp(places, self.places, np.arange(len(self.used)))
         first = (arrival - before / self.interval).astype(int)
@@ -198,10 +199,10 @@ class Baseband:
         return np.stack([first, np.clip(last, first + 2, n)], axis=1)
 
     def noise(self, n_cycles: int) -> float:
-        """Return the variance of a sample of the mean of cycles in the baseband.
+        """Return the variance of a baseband sample of the mean of cycles, in counts squared.
 
-        Thermal noise and quantisation error, independent from cycle to cycle and white; but without
-        noise that dithers it, rounding is an error of the signal's own frequencies, in the band.
+        Thermal noise and quantisation error are white and independent from cycle to cycle. Without
+        noise as dither, the rounding error has the frequencies of the signal, all in the band.
         """
         sigma = self.rangefinder.noise * self.per_volt
         variance, band = sigma**2, len(self.bins) * self.step / (self.rate / 2)
@@ -221,9 +222,9 @@ class Baseband:
         Returns
         -------
         mean : ndarray
-            (n_time,), the rounding of weak signals corrected.
+            In counts, with the rounding of weak signals corrected, (n_time,).
         variance : float
-            From the scatter of the cycles within the band; of few cycles by :meth:`noise`.
+            From the scatter of the cycles within the band; for few cycles from :meth:`noise`.
         """
         counts = np.asarray(counts)
         n = len(counts)
@@ -242,7 +243,7 @@ class Baseband:
         return mean, float(max(scatter, 0.1 * self.noise(n)))
 
     def ring_down(self) -> Complex:
-        """Return the ring-down that the rangefinder's parameters give, in the baseband."""
+        """Return the ring-down in the baseband, computed from the rangefinder's parameters."""
         n = self.period
         real = np.asarray(np.fft.rfftfreq(n, 1 / self.rate)[1:], float)
         f = real.astype(complex)
@@ -260,26 +261,27 @@ class Baseband:
         return np.asarray(np.fft.ifft(spectrum * taper, axis=-1)[..., self.used])
 
     def adjoint(self, samples: Complex) -> Complex:
-        """Return the spectrum (..., n_f) whose product with a spectrum is that of their basebands.
+        """Return the adjoint of :meth:`transformed` applied to samples: spectra (..., n_f).
 
-        The adjoint of :meth:`transformed`, of all samples or the first ones (..., n).
+        The inner product of the result with a spectrum is that of the samples with the baseband of
+        the spectrum. The samples are all or the first ones, (..., n).
         """
         full = np.zeros((*samples.shape[:-1], len(self.bins)), complex)
         full[..., self.used[: samples.shape[-1]]] = samples
         return np.asarray(2 * self.step * self.taper * np.fft.fft(full, axis=-1))
 
     def press_gain(self, detuned: Array) -> tuple[Complex, Complex, Complex]:
-        """Return the gain from a reflection to counts, with another transducer, and derivatives.
+        """Return the gain from reflection coefficient to counts of a detuned transducer.
 
         Parameters
         ----------
         detuned : ndarray
-            Relative deviations of resonance and of quality factor, (n, 2).
+            Relative deviations of the resonance and of the quality factor, (n, 2).
 
         Returns
         -------
         value, by_resonance, by_quality : ndarray
-            (n, n_f), in s.
+            Gain in counts s, and its derivatives by the two relative deviations, (n, n_f).
         """
         r = self.rangefinder
         resonance = r.resonance * (1 + detuned[:, :1])
@@ -293,7 +295,7 @@ class Baseband:
         return value, by_resonance, slope * off * r.quality_factor
 
     def reflector_scale(self, places: Array) -> Array:
-        """Return the standard deviations of reflectors of clutter, and of the far end."""
+        """Return standard deviations of reflectors, clutter and far end, at places (n,) in m."""
         r = self.rangefinder
         deviation = np.full(len(places), np.sqrt(max(r.clutter, 1e-12) * 1e-3))
         deviation[places > self.length - 0.02] = abs(r.far_reflection) / 2
@@ -313,7 +315,7 @@ class Baseband:
         return r.lead + r.drive.duration + decay * log(ratio)
 
     def _wavenumbers(self) -> tuple[Complex, Complex]:
-        """Return the wavenumbers of the modes and their derivatives by temperature, (n_f, m)."""
+        """Return the modes' wavenumbers in 1/m and derivatives in 1/(m K), (n_f, m)."""
 
         def at(air: Air) -> Complex:
             numbers = [mode_numbers(name) for name in self.modes]
@@ -336,7 +338,7 @@ class Baseband:
         )
 
     def _drive(self) -> Complex:
-        """Return the spectrum of the drive, filtered as by the converter."""
+        """Return the spectrum of the drive after the converter's anti-aliasing filter, (n_f,)."""
         grid = np.asarray(np.arange(1, self.period // 2 + 1) * self.step, complex)
         sent = sent_spectrum(self.rangefinder, grid, self.rate, self.period, 0.0)[self.bins - 1]
         return np.asarray(sent * anti_alias(self.frequency, self.rate))
@@ -349,14 +351,14 @@ def is_compressed(rangefinder: Rangefinder) -> bool:
 
 
 def half_width(rangefinder: Rangefinder) -> float:
-    """Return half the width in Hz of the band of a rangefinder's inversion."""
+    """Return half the width in Hz of the band in which a rangefinder's cycles are inverted."""
     drive = rangefinder.drive
     carrier = getattr(drive, "frequency", rangefinder.resonance)
     return max(HALF_WIDTH * carrier, CHIRP_BAND * getattr(drive, "bandwidth", 0.0))
 
 
 def _edges(n: int, width: int) -> Array:
-    """Return a taper of n samples whose ends rise as squared sines."""
+    """Return a taper of n samples that rises and falls at its ends as a squared sine."""
     rise = np.sin(pi / 2 * (np.arange(width) + 0.5) / width) ** 2
     found = np.ones(n)
     found[:width], found[n - width :] = rise, rise[::-1]
@@ -364,6 +366,6 @@ def _edges(n: int, width: int) -> Array:
 
 
 def _speeds(temperature: float) -> tuple[float, float]:
-    """Return the speed of sound in m/s and its derivative by temperature."""
+    """Return the speed of sound in m/s and its derivative by temperature in m/(s K)."""
     low, here, high = (air_at(temperature + d).sound_speed for d in (-0.5, 0.0, 0.5))
     return here, high - low

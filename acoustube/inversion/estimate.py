@@ -25,33 +25,35 @@ from acoustube.inversion.search import Templates
 from acoustube.waves.scattering import Complex
 
 SAME_PLACE = 0.03
-"""Distance in m within which presses of two hypotheses are the same."""
+"""Distance in m below which presses of two hypotheses count as the same press."""
 MISFIT = 0.15
-"""Relative error of the forward model from which tube, tool, sensor or number of contacts are said
-to differ from what is told."""
+"""Relative error of the forward model above which the tube, the tool, the sensor or the number of
+contacts is reported to differ from the model."""
 GOOD = 0.05
-"""Relative error of the model up to which an explanation is good: no other is followed."""
+"""Relative error of the model up to which a hypothesis is good, so that no other is followed."""
 EXCESS = 2.0
-"""Standard deviations of the noise's energy by which the residual's has to exceed it."""
+"""Margin, in standard deviations of the energy of the noise, by which the energy of the residual
+has to exceed that of the noise."""
 NEGLIGIBLE = 300.0
-"""Excess of a maximum's cost over the least from which it is left out of the posterior. Its weight
-there is by a covariance of up to ten times the power of the model's error: at most exp(-15)."""
+"""Excess of a maximum's cost over the least above which it is left out of the posterior. The
+weights of maxima there allow for up to ten times the power of the model's error, so that the weight
+of such a maximum is at most exp(-15)."""
 BEAM = 2
-"""Hypotheses of each number of presses that are extended."""
+"""Number of hypotheses that are extended for each number of presses."""
 
 
 @dataclass(frozen=True)
 class Contact:
-    """A press found in a recording.
+    """A press detected in a recording.
 
     Attributes
     ----------
     probability : float
-        That there is one.
+        Probability that there is a press at this distance.
     distance, depth : Estimate
-        In m.
+        Distance from the face and depth, in m.
     force : Estimate
-        In N.
+        Force in N.
     tool : int
         Number of the tool in the library.
     """
@@ -70,30 +72,30 @@ class Inversion:
     Attributes
     ----------
     contacts : list of Contact
-        By distance.
+        In the order of distance.
     misfit : float
-        Relative error of the forward model, nan without an echo: the larger of the error with the
-        highest evidence (:attr:`.Hypothesis.error`) and the unexplained share of the echo, the root
-        of the energy of the residual above the noise's and two standard deviations of that,
-        relative to the energy of the echo.
+        Relative error of the forward model, nan without contacts. It is the larger of two: the
+        error with the highest evidence (:attr:`.Hypothesis.error`), and the unexplained fraction of
+        the echo. The latter is the root of the energy of the residual beyond that of the noise and
+        two of its standard deviations, relative to the energy of the echo.
     fits : bool
-        Whether the misfit is less than :data:`MISFIT`.
+        Whether the misfit is at most :data:`MISFIT`, or nan.
     temperature, gain, stretch : Estimate
-        Deviations of the air's temperature in K, of the gain's logarithm, and of frequency in the
-        presses.
+        Deviations of the air's temperature in K and of the logarithm of the gain, and relative
+        stretch of frequency in the presses.
     number : dict of float
         Probability of each number of presses that was tried.
     hypotheses : list of Hypothesis
-        The most likely of each number, by number.
+        Most likely hypothesis of each number of presses, in the order of that number.
     place : ndarray
-        Distances in m from which sound comes back at the times of the baseband, (n_time,).
+        Distances in m whose echoes arrive at the times of the baseband, (n_time,).
     measured, explained : ndarray
-        Baseband without what the untouched tube sounds, of the cycles and of the contacts found,
-        (n_time,), in counts.
+        Baseband of the cycles and of the detected contacts, both less that of the untouched tube,
+        in counts, (n_time,).
     noise : float
         Variance of a sample of the mean of cycles in the baseband, in counts squared.
     model : ForwardModel
-        Of the sensor that recorded the cycles.
+        Model of the sensor that recorded the cycles.
     most : int
         Largest number of presses that was tried.
     """
@@ -120,23 +122,23 @@ class Inversion:
 
     @checked(places=Reals(ndim=1), tool=Number(0, 1000, whole=True))
     def detection_limit(self, places: ArrayLike, tool: int = 0) -> Array:
-        """Return the limits of detection: depths from which on another would be found.
+        """Return the limits of detection: the least depths at which a further press is detected.
 
         Parameters
         ----------
         places : ndarray
-            Distances in m, (n,).
+            Distances from the face in m, (n,).
         tool : int, optional
-            Number of its tool in the library, from 0.
+            Number in the library of the tool of the further press, from 0.
 
         Returns
         -------
         ndarray
-            In m, (n,): inf where the deepest press of the library would not have been found, or
-            none was sought since `most` contacts were; nan nearer to a contact than presses can be,
-            and where the model has no place; see
-            :func:`acoustube.inversion.detection.detection_limit`. They hold if the model does: with
-            contacts, if :attr:`fits`.
+            Depths in m, (n,): inf where the deepest press of the library would not be detected, and
+            wherever none is sought because `most` contacts were detected; nan closer to a contact
+            than presses can be, and outside the span of the model. See
+            :func:`acoustube.inversion.detection.detection_limit`. With contacts, the limits are
+            valid only if :attr:`fits` is true.
 
         Raises
         ------
@@ -168,7 +170,7 @@ class Inverter:
     @checked(model=ForwardModel, most=Number(1, 8, whole=True))
     def __init__(self, model: ForwardModel, most: int = 3) -> None:
         self.model, self.most = model, most
-        self._threads = ThreadpoolController()  # finding the libraries takes milliseconds
+        self._threads = ThreadpoolController()  # once: its search for libraries takes milliseconds
         self.templates = [Templates(model, i) for i in range(len(model.tables))]
 
     @checked(counts=Reals(ndim=2))
@@ -197,7 +199,7 @@ class Inverter:
             return self._posterior(self._chain(builder), builder)
 
     def _chain(self, builder: Builder) -> list[Hypothesis]:
-        """Return the best hypothesis found of each number of presses, as far as any was likely."""
+        """Return the best hypothesis of each number of presses, up to the first unlikely number."""
         chain = [builder.untouched()]
         beam, in_time = chain, peeled(builder, self.most)
         for number in range(1, self.most + 1):
@@ -229,7 +231,7 @@ class Inverter:
         return _pruned(builder, chain)
 
     def _posterior(self, chain: list[Hypothesis], builder: Builder) -> Inversion:
-        """Return the posterior over hypotheses of each number of presses."""
+        """Return the posterior of the presses, from the best hypothesis of each number of them."""
         odds = np.cumsum([0.0, *map(odds_of, range(1, len(chain)))])
         deviance = np.array([one.deviance + o for one, o in zip(chain, odds, strict=True)])
         inflation = max(1.0, min(one.residual for one in chain))
@@ -280,7 +282,7 @@ class Inverter:
         )  # fmt: skip
 
     def _echoes(self, best: Hypothesis, builder: Builder) -> tuple[Complex, Complex]:
-        """Return the baseband of the cycles and of a hypothesis, without the untouched tube's."""
+        """Return the baseband of the cycles and of a hypothesis, less the untouched tube's."""
         places, depths, nuisances = split(best.fits.parameters[:1])
         untouched = self.model.without_presses(nuisances)[0]
         value = self.model.baseband(best.tools, places, depths, nuisances)[0][0]
@@ -288,7 +290,7 @@ class Inverter:
 
 
 def _unexplained(measured: Complex, explained: Complex, builder: Builder) -> float:
-    """Return the fraction of the echo that the model does not explain, less what may be noise."""
+    """Return the fraction of the echo that the model and the noise do not explain."""
     rest = builder.quiet(measured - explained)
     noise = builder.model.base.freedom * len(rest)
     beyond = np.sum(np.abs(rest) ** 2) - noise - EXCESS * noise**0.5
@@ -296,7 +298,7 @@ def _unexplained(measured: Complex, explained: Complex, builder: Builder) -> flo
 
 
 def _shifted(builder: Builder, found: list[Hypothesis]) -> list[Hypothesis]:
-    """Return hypotheses by deviance, the likeliest maximised again from near half wavelengths."""
+    """Return hypotheses by rising deviance, the likeliest with maxima half wavelengths away."""
     found = sorted(found, key=lambda one: one.deviance)
     best = [found[0], *_others(found[0], found)]
     rest = [one for one in found if one not in best]
@@ -304,7 +306,7 @@ def _shifted(builder: Builder, found: list[Hypothesis]) -> list[Hypothesis]:
 
 
 def _sought_again(builder: Builder, known: Hypothesis) -> Hypothesis:
-    """Return a hypothesis whose presses were sought again one by one, among the others."""
+    """Return a hypothesis whose presses were sought again one by one, with the others known."""
     for i in range(len(known.tools)):
         found = [one for one in builder.replaced(known, i) if len(one.tools) == len(known.tools)]
         best = min(found, key=lambda one: one.deviance, default=known)
@@ -314,10 +316,10 @@ def _sought_again(builder: Builder, known: Hypothesis) -> Hypothesis:
 
 
 def _pruned(builder: Builder, chain: list[Hypothesis]) -> list[Hypothesis]:
-    """Return a chain in which no number of presses is worse than part of the next one's.
+    """Return a chain in which no hypothesis is worse than the next one less one of its presses.
 
-    A press may have stood for the error of others, which were mended with it. Hypotheses of more
-    presses are then credited anew, with what they explain beyond the better one.
+    A press may have fitted an error of the others, which were improved in the fit with it.
+    Hypotheses of more presses are then judged again by what they explain beyond the better one.
     """
     given = list(chain)
     for number in range(len(chain) - 1, 1, -1):
@@ -326,13 +328,13 @@ def _pruned(builder: Builder, chain: list[Hypothesis]) -> list[Hypothesis]:
             if fewer.deviance < chain[number - 1].deviance:
                 chain[number - 1] = builder.shifted(fewer)
     for number in range(2, len(chain)):
-        if chain[number - 1] is not given[number - 1]:  # replaced, or credited anew itself
+        if chain[number - 1] is not given[number - 1]:  # replaced, or itself judged again
             chain[number] = doubted(builder, chain[number - 1], chain[number])
     return chain
 
 
 def _others(best: Hypothesis, found: list[Hypothesis]) -> list[Hypothesis]:
-    """Return hypotheses to extend besides the best, whose first press is elsewhere."""
+    """Return further hypotheses to extend, whose places or depths differ from the best one's."""
     kept = [best]
     for one in found:
         same = any(

@@ -22,21 +22,22 @@ from acoustube.inversion.parameters import bounded, limited, split
 from acoustube.waves.scattering import Complex
 
 CONVERGED = 0.02
-"""Decrease of the cost in an iteration that ends the iterations."""
+"""Decrease of the cost per iteration up to which the iterations end."""
 DAMPING, RAISED, LOWERED = 1e-2, 6.0, 5.0
+"""Initial damping, its factor after a step that raises the cost, and its divisor otherwise."""
 AT_ONCE = 8
-"""Sets of parameters whose scattering is computed at once: some MB, which a cache holds."""
+"""Number of sets of parameters whose scattering is computed at once: some MB, which fit a cache."""
 DISTINCT = 0.3e-3, 0.02e-3
-"""Differences of place and depth in m up to which two maxima are one."""
+"""Differences of place and depth in m below which two maxima count as one."""
 SAME_MAXIMUM = 4.0
-"""Squared difference of two maxima, in standard deviations, up to which they also count as one."""
+"""Squared Mahalanobis distance of two maxima below which they also count as one."""
 PATIENCE, FAR_WORSE = 3, 1e3
-"""Iterations after which starting points are given up, and the excess of their cost over the least,
-halved with each iteration more."""
+"""Number of iterations after which starting points may be given up, and the excess of their cost
+over the least at which they are. The excess is halved with each further iteration."""
 GIVEN_UP = 5e3, 2e3, 1e3, 500.0, 300.0
 """Excess of the cost over that of a known maximum at which a starting point is given up, before
 each iteration. Of 2436 starting points that ended in other maxima, with a cost at most 300 above
-that of the known one, this loses 7 %; the rule without a known maximum loses 47 %."""
+that of the known one, this rule loses 7 %; the rule without a known maximum loses 47 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +47,13 @@ class Fits:
     Attributes
     ----------
     parameters : ndarray
-        Place and depth of each press in turn in m, and the nuisances, (n, 2 n_presses + 6).
+        Place and depth in m of each press in turn, then the nuisance parameters,
+        (n, 2 n_presses + 6).
     cost : ndarray
-        Minus twice the logarithm of the likelihood and of the nuisances' prior, but for constants,
-        (n,).
+        Minus twice the logarithm of the likelihood times the prior of the nuisance parameters, up
+        to a constant, (n,).
     information : ndarray
-        Half the second derivatives of the cost, (n, n_parameters, n_parameters).
+        Half the Hessian of the cost, (n, n_parameters, n_parameters).
     """
 
     parameters: Array
@@ -63,7 +65,7 @@ class Fits:
         return self.at(np.argsort(self.cost))
 
     def at(self, order: Index) -> Fits:
-        """Return the fits of some indices."""
+        """Return the fits at given indices."""
         return Fits(self.parameters[order], self.cost[order], self.information[order])
 
     def first(self, n: int) -> Fits:
@@ -71,11 +73,11 @@ class Fits:
         return Fits(self.parameters[:n], self.cost[:n], self.information[:n])
 
     def likely(self, excess: float) -> Fits:
-        """Return those whose cost exceeds the first one's by less."""
+        """Return the fits whose cost exceeds that of the first by less than `excess`."""
         return self.at(np.flatnonzero(self.cost < self.cost[0] + excess))
 
     def and_those(self, others: Fits) -> Fits:
-        """Return the fits followed by others of as many presses."""
+        """Return the fits followed by others with the same number of presses."""
         return Fits(
             np.concatenate([self.parameters, others.parameters]),
             np.concatenate([self.cost, others.cost]),
@@ -94,8 +96,8 @@ def maximise(
 ) -> Fits:
     """Return the maxima of the likelihood next to starting points, by Levenberg and Marquardt.
 
-    Starting points that stay far worse than the best one, or than a maximum that is known, are
-    given up and left where they are.
+    Starting points whose cost stays far above the least, or above that of a known maximum, are
+    given up; their last parameters are returned.
 
     Parameters
     ----------
@@ -108,8 +110,9 @@ def maximise(
         Baseband of the cycles, (n_time,).
     whiten : Weights
     iterations : int
+        Largest number of iterations.
     known : float, optional
-        Cost of the highest maximum known.
+        Cost of the best maximum that is known already.
     """
     at = bounded(model, tools, start)
     cost, gradient, information = _quadratic(model, tools, at, samples, whiten)
@@ -162,7 +165,7 @@ def _few_quadratic(
     samples: Complex,
     whiten: Weights,
 ) -> tuple[Array, Array, Array]:
-    """Return the same of a few sets of parameters, whose matrices stay in the cache."""
+    """Return the same for a few sets of parameters, whose matrices stay in the cache."""
     places, depths, nuisances = split(parameters)
     value, jacobian = model.baseband(tools, places, depths, nuisances)
     residual = whiten(samples - value)
@@ -173,7 +176,7 @@ def _few_quadratic(
     precision = 1 / model.priors.deviations**2
     prior[own, own] = precision
     cost = 2 * np.sum(np.abs(residual) ** 2, axis=1) + nuisances**2 @ precision
-    slopes = slopes.astype(complex)  # products that cancel, of place and temperature, need it
+    slopes = slopes.astype(complex)  # for products by place and by temperature, which cancel
     conjugate = slopes.conj()
     gradient = -2 * (conjugate @ residual[:, :, None])[:, :, 0].real
     gradient[:, own] += nuisances * precision
@@ -182,9 +185,9 @@ def _few_quadratic(
 
 
 def evidence(model: ForwardModel, tools: tuple[int, ...], fits: Fits, whiten: Weights) -> Array:
-    """Return minus twice the logarithm of the evidence of each fit, but for a constant, (n,).
+    """Return minus twice the logarithm of the evidence of each fit, up to a constant, (n,).
 
-    Places and depths are uniform a priori.
+    The prior of places and depths is uniform.
     """
     length = model.span[1] - model.span[0]
     volume = sum(2 * log(length * float(np.diff(model.tables[tool].range)[0])) for tool in tools)
@@ -195,7 +198,7 @@ def evidence(model: ForwardModel, tools: tuple[int, ...], fits: Fits, whiten: We
 
 
 def distinct(fits: Fits, n_presses: int) -> Fits:
-    """Return the maxima that differ, the best first."""
+    """Return the distinct maxima, the best first."""
     fits = fits.sorted()
     scale = np.tile(DISTINCT, n_presses)
     kept: list[int] = []

@@ -1,10 +1,10 @@
-"""Sets of presses that may explain a recording, built up one press at a time.
+"""Hypotheses about a recording: sets of presses, built up one press at a time.
 
-A press more is proposed where the residual correlates with the echo of one, also through the
-presses before it and by their higher modes. The candidates are refined together with the presses
-known, then shifted by half wavelengths and by depths, since the likelihood has maxima there. Where
-the presses known explain little, those more are sought with a smaller error of the model than is
-the most likely one: that would hide them.
+A further press is proposed where the residual correlates with the echo of a press, which may pass
+the presses before it, also in higher modes. The candidates are refined jointly with the known
+presses, then shifted by half wavelengths and by depths, since the likelihood has maxima there.
+Where the known presses explain little, further ones are sought with a smaller error of the model
+than the most likely one, which would hide them.
 """
 
 from __future__ import annotations
@@ -23,50 +23,50 @@ from acoustube.inversion.search import Templates, front_of
 from acoustube.waves.scattering import Complex
 
 ERRORS = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4)
-"""Relative errors of the model, of which the most likely one is taken."""
+"""Relative errors of the model, of which the most likely one is chosen."""
 SPREADS = 1e-4, 4e-4, 1.5e-3
-"""Errors of the model at all times, relative to the highest echo, that are tried besides none."""
+"""Errors of the model at all times, relative to the highest echo, that are tried besides zero."""
 BENT_SPREADS = 6e-3, 2.4e-2
-"""Those that are tried too on a wrapped tube: next to their cut-on modes are slow, and reflected
-where the curvature changes."""
+"""Further ones that are tried on a wrapped tube, where modes close to their cut-on are slow and are
+reflected where the curvature changes."""
 SHIFTS = (
     (-1, 0.0), (1, 0.0), (-2, 0.0), (2, 0.0), (-3, 0.0), (3, 0.0), (0, -0.4e-3), (0, 0.4e-3),
     (0, -0.15e-3), (0, 0.15e-3), (1, 0.15e-3), (-1, -0.15e-3), (1, -0.15e-3), (-1, 0.15e-3),
 )  # fmt: skip
-"""Half wavelengths and depths in m by which a press is shifted to find other maxima."""
+"""Shifts of place in half wavelengths and of depth in m by which other maxima are sought."""
 JOINT = -3, -2, -1, 1, 2, 3
-"""Half wavelengths by which all presses are shifted together."""
+"""Shifts of all presses together, in half wavelengths."""
 POOR = 0.05
-"""Relative model error above which all presses are shifted together to find a better maximum."""
+"""Relative model error above which the maxima of joint shifts get estimated errors of their own."""
 JUDGED = 4
-"""Of these, maxima whose model error is estimated."""
+"""Largest number of these maxima whose model error is estimated."""
 OUTLIER = 9.0
 """Cap on the squared whitened residual in the robust choice of the initial temperature."""
 KEPT = 3
-"""Candidates of a tool whose model error is estimated."""
+"""Number of candidates, for each tool and order along the tube, whose model error is estimated."""
 SEARCHED = 0.02
-"""Largest error of the model with which presses are sought."""
+"""Largest relative error of the model with which presses are sought."""
 STARTS = 2, 10
-"""Iterations after which only some of the candidates are followed, and how many."""
+"""Number of iterations for all candidates, and number of the best that are then followed."""
 FIRST_STARTS = 16, 5
-"""Candidates of a first press that are refined, and how many are followed after those iterations.
-In twelve recordings of single presses the one that led to the best maximum was among the first
-eight."""
+"""Number of candidates of a first press that are refined, and number of the best that are followed
+after those iterations. In twelve recordings of single presses, the candidate that led to the best
+maximum was among the first eight."""
 FOLLOWED = 2
-"""Tools, or orders of them along the tube, whose model error is estimated."""
+"""Number of tools, or of their orders along the tube, for which the model error is estimated."""
 LOUD = 5.0
-"""Level over the noise, of whitened samples smoothed, at which an echo begins."""
+"""Smoothed level of the whitened samples, relative to the noise, at which an echo begins."""
 HOPELESS = 10.0
-"""Excess of the deviance of a press more, before its model's error and the other maxima are known,
-from which it is not followed."""
+"""Excess of the deviance with one more press over that without it, above which it is not followed,
+before its model error and other maxima are known."""
 UNLIKELY, FARTHER = 8.0, 4
-"""Largest difference of a maximum's cost from the least for which places farther along the tube
-are tried too, and number of half wavelengths tried."""
+"""Excess of a maximum's cost over the least up to which places farther along the tube are tried
+too, and number of half wavelengths tried."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A set of presses, with all maxima of the likelihood that were found near it.
+    """A set of presses, with the maxima of the likelihood that were found for it.
 
     Attributes
     ----------
@@ -75,13 +75,13 @@ class Hypothesis:
     fits : Fits
         Distinct maxima, the best first.
     error : float
-        Relative error of the model, the most likely one.
+        Most likely relative error of the model.
     whiten : Weights
-        With that error.
+        Weights with that error.
     deviance : float
         Minus twice the logarithm of the evidence.
     residual : float
-        Mean square of the whitened residual: 1 if the model holds.
+        Mean square of the whitened residual, 1 if the model is right.
     """
 
     tools: tuple[int, ...]
@@ -98,13 +98,13 @@ class Hypothesis:
 
 
 class Builder:
-    """Hypotheses about one mean of cycles.
+    """Builder of hypotheses about the mean of some cycles.
 
     Parameters
     ----------
     model : ForwardModel
     templates : list of Templates
-        Of each tool.
+        One for each tool.
     samples : ndarray
         Mean of cycles in the baseband, (n_time,).
     noise : float
@@ -120,21 +120,21 @@ class Builder:
         self.start = self._robust()
 
     def untouched(self) -> Hypothesis:
-        """Return the hypothesis of no press."""
+        """Return the hypothesis of no press, with fitted nuisance parameters."""
         fits = maximise(self.model, (), self.start[None], self.samples, self.quiet, 6)
         return self._judged((), fits, 0.0, self.quiet)
 
     def silent(self) -> Hypothesis:
-        """Return the hypothesis of no press with the nuisance parameters of the search."""
+        """Return the hypothesis of no press, with the nuisance parameters that the search uses."""
         n = len(self.start)
         fits = Fits(self.start[None], np.zeros(1), np.eye(n)[None])
         return Hypothesis((), fits, 0.0, self.quiet, np.inf, np.inf)
 
     def _robust(self) -> Array:
-        """Return the nuisance parameters of the search: zero but for the temperature.
+        """Return the initial nuisance parameters: zero except for the temperature.
 
-        It is that of the clutter, where this is known, by a truncated quadratic cost, so that
-        presses do not matter.
+        The temperature is fitted to the clutter, if that is known, with a truncated quadratic cost,
+        which limits the effect of presses.
         """
         start = np.zeros(len(NUISANCES))
         if self.model.clutter.behind is None:
@@ -144,7 +144,7 @@ class Builder:
         tried = np.zeros((2 * int(span / 0.02) + 1, len(NUISANCES)))
         tried[:, 0] = np.linspace(-span, span, len(tried))
         rest = self.quiet(self.samples - self.model.without_presses(tried))
-        # Only what sounds before the first press, whatever the temperature.
+        # Only samples before the first echo that no temperature explains.
         power = np.apply_along_axis(np.convolve, 1, np.abs(rest) ** 2, np.ones(4) / 4, "same")
         loud = np.flatnonzero(power.min(axis=0) > LOUD**2)
         before = rest[:, : max(loud[0] - 2, 0)] if len(loud) else rest
@@ -152,7 +152,7 @@ class Builder:
         return np.asarray(tried[np.argmin(robust + (tried[:, 0] / deviation) ** 2)])
 
     def searched(self, known: Hypothesis) -> Hypothesis:
-        """Return a hypothesis with the weights by which presses more are sought."""
+        """Return a hypothesis with the weights with which further presses are sought."""
         if 0 < known.error <= SEARCHED:
             return known
         error = min(known.error, SEARCHED) or SEARCHED
@@ -160,15 +160,15 @@ class Builder:
         return replace(known, whiten=weights(self.model, self.noise, error, echo), error=error)
 
     def extended(self, known: Hypothesis, least: float | None = None) -> list[Hypothesis]:
-        """Return hypotheses with one press more, whose expected gain exceeds the least.
+        """Return hypotheses with one more press, whose expected gain exceeds `least`.
 
-        By default that is what its prior odds demand.
+        The default of `least` is the gain that the prior odds of the press require.
         """
         own = self.searched(known) if known.tools else known
         sought = [known] if own is known else [known, own]
         found = []
         if least is None:
-            # For a third press those of a second: the two known are not refitted in the gain.
+            # For a third press the odds of a second: the gain excludes a refit of the known two.
             least = odds_of(min(len(known.tools) + 1, 2))
         for one in sought:
             fits = self.with_one_more(one, one.whiten, least=least)
@@ -184,17 +184,17 @@ class Builder:
         within: tuple[float, float] | None = None,
         least: float = 0.0,
     ) -> list[tuple[tuple[int, ...], Fits]]:
-        """Return tools and fits with one press more, for each tool and order, the best first.
+        """Return tools and fits with one more press, for each tool and order, the best first.
 
         Parameters
         ----------
         known : Hypothesis
         whiten : Weights
-            By which candidates are found and refined.
+            Weights with which candidates are sought and refined.
         within : (float, float), optional
             Range of places in m in which the press is sought.
         least : float
-            Gain that the best candidate is to have.
+            Gain that the best candidate of a tool has to exceed.
         """
         if not known.tools:
             parameters = self.start[None]
@@ -211,19 +211,19 @@ class Builder:
         return sorted(found, key=lambda one: float(one[1].cost[0]))
 
     def _promising(self, known: Hypothesis, tools: tuple[int, ...], fits: Fits) -> bool:
-        """Return whether fits with a press more may be likelier than without, once settled."""
+        """Return whether fits with one more press may become likelier than `known`."""
         deviance = float(evidence(self.model, tools, fits, known.whiten).min())
         return deviance < self.own_deviance(known) + HOPELESS
 
     def own_deviance(self, known: Hypothesis) -> float:
-        """Return minus twice the logarithm of a hypothesis's evidence by its own weights.
+        """Return minus twice the logarithm of a hypothesis's evidence with its own weights.
 
-        Its `deviance` may be larger, by the doubt of :mod:`acoustube.inversion.doubt`.
+        Its `deviance` may be larger, by the test of :mod:`acoustube.inversion.doubt`.
         """
         return float(evidence(self.model, known.tools, known.fits.first(1), known.whiten)[0])
 
     def replaced(self, known: Hypothesis, number: int) -> list[Hypothesis]:
-        """Return hypotheses with one press sought again."""
+        """Return hypotheses in which one press has been sought again."""
         tools, fits = _without(known, number)
         fewer = Hypothesis(tools, fits, known.error, known.whiten, np.inf, np.inf)
         return self.extended(fewer, least=0.0)
@@ -231,7 +231,7 @@ class Builder:
     def _added(
         self, known: Hypothesis, tool: int, place: Array, depth: Array, whiten: Weights
     ) -> list[tuple[tuple[int, ...], Fits]]:
-        """Return the fits with a press more, for each order of the tools along the tube."""
+        """Return the fits with one more press, for each order of the tools along the tube."""
         places, depths, nuisances = split(known.fits.parameters[:1])
         apart = np.abs(place[:, None] - places).min(axis=1, initial=np.inf) > CLOSEST
         rank = np.searchsorted(places[0], place)
@@ -253,16 +253,16 @@ class Builder:
         return found
 
     def settled(self, known: Hypothesis) -> Hypothesis:
-        """Return the hypothesis fitted to the whole recording, with its model's error."""
+        """Return a hypothesis refitted to the whole recording, with an estimated model error."""
         return self._fitted(known.tools, known.fits)
 
     def _fitted(self, tools: tuple[int, ...], fits: Fits) -> Hypothesis:
-        """Return the hypothesis of the most likely fit, with the error of its model."""
+        """Return the hypothesis of the most likely fit, with an estimated model error."""
         tried = [self._alone(tools, fits.parameters[i : i + 1]) for i in range(len(fits.cost))]
         return min(tried, key=lambda one: one.deviance)
 
     def _alone(self, tools: tuple[int, ...], at: Array) -> Hypothesis:
-        """Return the hypothesis of one starting point (1, n_parameters), with its model's error."""
+        """Return the hypothesis from a starting point (1, n_parameters), its error estimated."""
         for spread in (False, True):
             error, own = self._likely_error(tools, at[0], spread=spread)
             fit = maximise(self.model, tools, at, self.samples, own, 8)
@@ -287,7 +287,7 @@ class Builder:
         least = float(known.fits.cost[0])
         fits = maximise(self.model, known.tools, start, self.samples, known.whiten, 8, least)
         if m > 1 and known.error > POOR:
-            # The error that explains a wrong place hides the right one.
+            # The model error that is most likely at a wrong place hides the right one.
             n = m * len(moves)
             together = distinct(Fits(fits.parameters[n:], fits.cost[n:], fits.information[n:]), m)
             tried = [self._alone(known.tools, at[None]) for at in together.parameters[:JUDGED]]
@@ -310,11 +310,11 @@ class Builder:
         return self._judged(known.tools, merged, error, whiten)
 
     def pruned(self, known: Hypothesis) -> list[Hypothesis]:
-        """Return hypotheses with one press less, each the rest of those known."""
+        """Return hypotheses with one press left out, for each press in turn."""
         return [self._fitted(*_without(known, i)) for i in range(len(known.tools))]
 
     def _farther(self, tools: tuple[int, ...], fits: Fits, whiten: Weights, half: float) -> Fits:
-        """Return fits with those farther away, where half wavelengths are not resolved."""
+        """Return fits and maxima farther along the tube, if half wavelengths are not resolved."""
         likely = fits.cost < fits.cost[0] + UNLIKELY
         m = len(tools)
         starts = []
@@ -333,9 +333,9 @@ class Builder:
     def _likely_error(
         self, tools: tuple[int, ...], parameters: Array, *, spread: bool = True
     ) -> tuple[float, Weights]:
-        """Return the most likely error of the model for given parameters, and its weights.
+        """Return the most likely error of the model at given parameters, and weights with it.
 
-        With `spread` also of errors at all times.
+        With `spread`, the error at all times is estimated too.
         """
         echo = echo_of(self.model, tools, parameters)
         rest = self.samples - self.modelled(tools, parameters)
@@ -347,7 +347,7 @@ class Builder:
         best = min(judged(error, 0.0) for error in ERRORS)
         if not spread:
             return best[1], weights(self.model, self.noise, best[1], echo)
-        # An error at all times may explain what seemed one of the echo.
+        # An error at all times may account for what seemed one in proportion to the echo.
         errors = {best[1], *(error for error in ERRORS[:2] if error < best[1])}
         spreads = SPREADS + BENT_SPREADS if self.model.path.converts else SPREADS
         wider = [judged(error, one) for error in sorted(errors) for one in spreads]
@@ -355,18 +355,18 @@ class Builder:
         return error, weights(self.model, self.noise, error, echo, wide)
 
     def modelled(self, tools: tuple[int, ...], parameters: Array) -> Complex:
-        """Return the baseband of parameters (n_parameters,), (n_time,)."""
+        """Return the baseband (n_time,) of the model with parameters (n_parameters,)."""
         places, depths, nuisances = split(parameters[None])
         return self.model.baseband(tools, places, depths, nuisances)[0][0]
 
     def residual_of(self, known: Hypothesis) -> Complex:
-        """Return the samples without what a hypothesis explains, (n_time,)."""
+        """Return the residual of the samples with a hypothesis, (n_time,)."""
         return self.samples - self.modelled(known.tools, known.best)
 
     def _judged(
         self, tools: tuple[int, ...], fits: Fits, error: float, whiten: Weights
     ) -> Hypothesis:
-        """Return the hypothesis of fits with its evidence."""
+        """Return the hypothesis of fits, with its evidence and mean square residual."""
         deviance = float(evidence(self.model, tools, fits, whiten)[0])
         value = self.modelled(tools, fits.parameters[0])
         rest = whiten(self.samples - value)
@@ -375,7 +375,7 @@ class Builder:
 
 
 def _without(known: Hypothesis, number: int) -> tuple[tuple[int, ...], Fits]:
-    """Return tools and parameters of a hypothesis without one of its presses."""
+    """Return tools and parameters of a hypothesis with one of its presses left out."""
     places, depths, nuisances = split(known.fits.parameters[:1])
     kept = [i for i in range(len(known.tools)) if i != number]
     rest = joined(places[:, kept], depths[:, kept], nuisances)

@@ -1,7 +1,7 @@
 """Likelihood of a cycle's baseband: its covariance about the model, and whitening.
 
-The covariance has five parts: noise, what is not known of clutter and ring-down, errors of the
-model in proportion to the echo and at all times, and one of the losses in the presses.
+The covariance has five parts: the noise, the unknown part of clutter and ring-down, an error of the
+model in proportion to the echo, one at all times, and one of the losses in the presses.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from acoustube.inversion.parameters import split
 from acoustube.waves.scattering import Complex
 
 INDEPENDENT_SHARE = 1e-3
-"""Least share of a sample's variance that is independent of the others', from which single
+"""Fraction of each sample's variance that is independent of the other samples, above which single
 precision is enough."""
 RINGING, RINGING_SHARE = 0.5e-3, 0.05
-"""Decay in s, and share, of the model's error after an echo: that of trapped sound."""
+"""Decay time in s and relative power of the model's error after an echo, due to trapped sound."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +33,11 @@ class Weights:
     Attributes
     ----------
     matrix : ndarray
-        Inverse of the Cholesky factor of the covariance of the first n samples, (n, n): a row
-        depends on the samples up to its own time, so that the first rows are the likelihood of the
-        first samples.
+        Inverse of the Cholesky factor of the covariance of the first n samples, (n, n). A row
+        depends only on the samples up to its own time, so that the first rows are the weights of
+        the first samples.
     log_determinant : float
-        Of the covariance of all samples.
+        Logarithm of the determinant of the covariance of all samples.
     spread : float
         Error of the model at all times, relative to the highest echo.
     """
@@ -60,7 +60,7 @@ class Weights:
         return self.matrix.astype(np.complex64)
 
     def weighted(self, samples: Complex) -> Complex:
-        """Return samples (n_time,) times the inverse of the covariance, (n,)."""
+        """Return the inverse of the covariance times the first n of samples (n_time,), (n,)."""
         return np.asarray(self(samples) @ self.matrix.conj())
 
     def until(self, n: int) -> Weights:
@@ -92,8 +92,8 @@ def weights(
     echo : Echo or None
         Expected echo of the presses.
     spread : float
-        Error of the model at all times, relative to the highest echo: multiple reflections that it
-        lacks.
+        Error of the model at all times, relative to the highest echo, due to multiple reflections
+        that the model lacks.
     """
     factor, scale = _factor(model, noise, error, echo, spread)
     inverse, _ = ztrtri(factor, lower=1)
@@ -103,15 +103,15 @@ def weights(
 
 
 class Echo(NamedTuple):
-    """Echo of presses in the baseband, and its derivative by their losses, both (n_time,).
+    """Echo of presses in the baseband, and its change with their losses, both (n_time,).
 
     Attributes
     ----------
     value : ndarray
     by_losses : ndarray or None
-        Its change by an error of the losses in the presses, one standard deviation. Trapped sound
-        decays faster or slower by it, which after some milliseconds is more than any error in
-        proportion to the echo. None if it is left out.
+        Change of the echo due to an error of one standard deviation of the losses in the presses.
+        Trapped sound then decays faster or slower, which after some milliseconds exceeds any error
+        in proportion to the echo. None if this error is left out.
     """
 
     value: Complex
@@ -119,7 +119,7 @@ class Echo(NamedTuple):
 
 
 def echo_of(model: ForwardModel, tools: tuple[int, ...], parameters: Array) -> Echo:
-    """Return the echo of presses with parameters (n_parameters,)."""
+    """Return the echo of presses for parameters (n_parameters,)."""
     places, depths, nuisances = split(parameters[None])
     value = model.baseband(tools, places, depths, nuisances)[0][0]
     echo = value - model.without_presses(nuisances)[0]
@@ -136,9 +136,9 @@ def deviance_of(
     spread: float,
     residual: Complex,
 ) -> float:
-    """Return minus twice the log likelihood of a residual, with the arguments of :func:`weights`.
+    """Return minus twice the log likelihood of a residual (n_time,), up to a constant.
 
-    But for a constant.
+    The other arguments are those of :func:`weights`.
     """
     white, logarithm = whitened(model, noise, error, echo, spread, residual[:, None])
     deviance = 2 * float(np.sum(np.abs(white) ** 2)) + 2 * logarithm
@@ -153,11 +153,11 @@ def whitened(
     spread: float,
     samples: Complex,
 ) -> tuple[Complex, float]:
-    """Return whitened samples, and the logarithm of the covariance's determinant.
+    """Return whitened samples, and the logarithm of the determinant of the covariance.
 
-    For weights that are needed once: without their inverse, and in single precision where that
-    changes a deviance by less than 0.01, which is where the independent part of each sample's
-    variance is not small (:data:`INDEPENDENT_SHARE`).
+    This is for weights that are used once. The Cholesky factor is not inverted, and is in single
+    precision where that changes a deviance by less than 0.01. This is so where the independent part
+    of each sample's variance is not small (:data:`INDEPENDENT_SHARE`).
 
     Parameters
     ----------
@@ -176,9 +176,9 @@ def _factor(
     model: ForwardModel, noise: float, error: float, echo: Echo | None, spread: float,
     *, single: bool = False,
 ) -> tuple[Complex, Array]:  # fmt: skip
-    """Return the Cholesky factor of the covariance scaled to a diagonal of ones, and the scale.
+    """Return the Cholesky factor of the covariance scaled to a unit diagonal, and the scale.
 
-    With `single` in single precision, where that is enough.
+    With `single`, the factor is in single precision where that is enough.
     """
     own, known = _diagonal(model, noise, error, echo, spread), model.clutter.covariance
     losses = None if echo is None else echo.by_losses
@@ -195,7 +195,7 @@ def _factor(
 
 
 def _log_determinant(factor: Complex, scale: Array) -> float:
-    """Return the logarithm of the determinant of the covariance, from its scaled factor."""
+    """Return the logarithm of the covariance's determinant, from its scaled factor and scale."""
     size = np.log(np.diag(factor).real.astype(float)) - np.log(scale)
     return 2 * float(size.sum())
 
@@ -203,13 +203,13 @@ def _log_determinant(factor: Complex, scale: Array) -> float:
 def _diagonal(
     model: ForwardModel, noise: float, error: float, echo: Echo | None, spread: float
 ) -> Array:
-    """Return the variances of what is independent from sample to sample, (n_time,)."""
+    """Return the variances of the parts that are independent between samples, (n_time,)."""
     variance = np.full(len(model.base.used), noise)
     if echo is None:
         return variance
     variance += (spread * np.abs(echo.value).max()) ** 2
     if error > 0:
-        from scipy.signal import lfilter  # with the statistics 20 MB, for which a sensor has no use
+        from scipy.signal import lfilter  # loads statistics too, 20 MB that a sensor does not need
 
         power = np.convolve(np.abs(echo.value) ** 2, [0.25, 0.5, 0.25], "same")
         step = model.base.interval

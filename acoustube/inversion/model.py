@@ -21,47 +21,48 @@ from acoustube.inversion.wrap import WrappedPath
 from acoustube.waves.scattering import Complex
 
 NUISANCES = "temperature", "gain", "phase", "resonance", "quality_factor", "stretch"
-"""Parameters besides places and depths, in their order."""
+"""Names of the nuisance parameters, in their order after places and depths."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Priors:
-    """Standard deviations of what is not known exactly; their means are zero.
+    """Standard deviations of the uncertain quantities, whose prior means are zero.
 
     Attributes
     ----------
     temperature : float
-        Of the air, from the reported one, in K. Default 0.3.
+        Deviation of the air's temperature from the reported one, in K. Default 0.3.
     gain : float
-        Of the logarithm of the gain. Default 0.05.
+        Logarithm of the gain. Default 0.05.
     phase : float
-        In rad. Default 0.05.
+        Phase of the gain in rad. Default 0.05.
     resonance, quality_factor : float
-        Of the transducer, relative. Defaults 0.001 and 0.03.
+        Relative deviations of the transducer's parameters. Defaults 0.001 and 0.03.
     stretch : float
-        Of frequency in the presses, relative: errors of the bore and of the solver. Default 0.002.
+        Relative stretch of frequency in the presses, for errors of the bore and of the solver.
+        Default 0.002.
     losses : float
-        Of the imaginary part of frequency in the presses, relative to frequency: errors of the
-        losses, by which trapped sound decays faster or slower. The rms of a complex error, as its
-        covariance is that of a circular distribution. No parameter, but a part of the model's
-        error. Default 0.0004, an eighth of the losses of trapped sound; 0 if there is none.
+        Imaginary part of frequency in the presses, relative to frequency, for errors of the losses,
+        which make trapped sound decay faster or slower. The value is the rms of a complex error,
+        whose distribution is circular. It is not a parameter, but a part of the covariance. Default
+        0.0004, an eighth of the losses of trapped sound; 0 for no such error.
     thermometer : float
-        Of the error in K that the thermometer has in all recordings, also in those of the untouched
-        tube: no parameter, but part of the error of places. Default 0.1; 0 if there is none.
+        Error in K that the thermometer has in all recordings, including those of the untouched
+        tube. Not a parameter, but a part of the error of places. Default 0.1; 0 for none.
     place, depth : float
-        Of the offsets in m between a press and the library's press of the same echo: errors
-        of mesh and solver that no recording shows; no parameters either. Defaults 0.03 mm and
-        0.018 mm, those of two meshes and solvers; 0 if there are none.
+        Offsets in m between a press and the library's press with the same echo, due to errors of
+        mesh and solver that no recording shows. Not parameters either. Defaults 0.03 mm and
+        0.018 mm, those between two meshes and solvers; 0 for none.
     bore : float
-        Of the bore's diameter, relative, from the library's. A press of a wider bore sounds like
-        one that is shallower in proportion, which no recording shows either. Default 0; 0.01 of an
-        extruded tube, say.
+        Relative deviation of the bore's diameter from that of the library. A press of a wider bore
+        has the echo of a press that is shallower in proportion, which no recording shows either.
+        Default 0; 0.01, for example, for an extruded tube.
     length : float
-        Of the tube's length in m, where there is a rangefinder at each end. Default 2 mm.
+        Deviation of the tube's length in m, used with a rangefinder at each end. Default 2 mm.
     modulus : float
-        Of the wall's Young's modulus, relative to its value, the library's or a twin's; forces are
-        proportional to it. It adds to the deviation that a twin's file states. Default 0; 0.1 for
-        2 Shore A.
+        Relative deviation of the wall's Young's modulus from that of the library or of a twin, to
+        which forces are proportional. It adds to the deviation stated in the file of a twin.
+        Default 0; 0.1 for 2 Shore A.
     """
 
     temperature: float = 0.3
@@ -79,7 +80,7 @@ class Priors:
     modulus: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check that all are positive."""
+        """Check that all deviations are within their ranges."""
         rules = dict.fromkeys(NUISANCES, Number(1e-9, 100.0))
         offset, share = Number(0, 0.01, "m"), Number(0, 0.1)
         check_fields(
@@ -89,21 +90,21 @@ class Priors:
 
     @property
     def deviations(self) -> Array:
-        """All, in the order of :data:`NUISANCES`."""
+        """Standard deviations of the nuisance parameters, in the order of :data:`NUISANCES`."""
         return np.array([getattr(self, name) for name in NUISANCES])
 
     def offsets(self, depths: Array) -> Array:
-        """Return the standard deviations of the offsets of place and depth in turn of each press.
+        """Return the standard deviations of the offsets in place and depth of presses.
 
         Parameters
         ----------
         depths : ndarray
-            In m, (n, n_presses).
+            Depths in m, (n, n_presses).
 
         Returns
         -------
         ndarray
-            In m, (n, 2 n_presses).
+            In m, for place and depth of each press in turn, (n, 2 n_presses).
         """
         found = np.empty((len(depths), 2 * depths.shape[1]))
         found[:, ::2], found[:, 1::2] = self.place, np.hypot(self.depth, self.bore * depths)
@@ -115,14 +116,14 @@ class Priors:
 
 
 class ForwardModel:
-    """Baseband of cycles with presses of a library's tools.
+    """Forward model of the baseband of cycles with presses by the tools of a library.
 
     Parameters
     ----------
     library : Library
     base : Baseband
     clutter : Clutter, optional
-        Of the tube; by default only its statistics are known.
+        Clutter of the tube; by default only its power density is known.
     priors : Priors, optional
 
     Attributes
@@ -146,7 +147,7 @@ class ForwardModel:
         self.tool_library, self.base, self.priors = library, base, priors or Priors()
         self.clutter = clutter or unknown_clutter(base)
         modes = min(len(library.modes), MOST_MODES)
-        # Where the air is warmer, sound of a frequency has the wavelength of a lower one.
+        # In warmer air, sound of a frequency has the wavelength of a lower frequency.
         speed = library.sound_speed / base.speed
         self.stretch = speed - 1
         self.stretch_by_temperature = -speed * base.speed_by_temperature / base.speed
@@ -165,17 +166,17 @@ class ForwardModel:
         tools : tuple of int
             Number of the tool of each press in the library, (n_presses,).
         places, depths : ndarray
-            In m, (n, n_presses); the places of each set rise.
+            In m, (n, n_presses); the places of each set are in rising order.
         nuisances : ndarray
-            In the order of :data:`NUISANCES`, (n, 6).
+            Nuisance parameters in the order of :data:`NUISANCES`, (n, 6).
 
         Returns
         -------
         value : ndarray
-            (n, n_time), in counts.
+            Baseband in counts, (n, n_time).
         jacobian : ndarray
-            By place and depth in turn of each press, then by the nuisances, in single precision,
-            (n, 2 n_presses + 6, n_time).
+            Derivatives by place and depth of each press in turn, then by the nuisance parameters,
+            in single precision, (n, 2 n_presses + 6, n_time).
         """
         n, m = places.shape
         base = self.base
@@ -217,8 +218,9 @@ class ForwardModel:
         Returns
         -------
         ndarray
-            Relative to frequency, (n, n_time): the derivative of the spectrum by `stretch`, as an
-            analytic function of frequency, times the imaginary unit.
+            Derivative by that part relative to frequency, in counts, (n, n_time). Since scattering
+            is analytic in frequency, it is the derivative by `stretch` with the spectrum multiplied
+            by the imaginary unit.
         """
         temperature = nuisances[:, 0]
         stretch = self.stretch + self.stretch_by_temperature * temperature + nuisances[:, 5]
@@ -253,10 +255,10 @@ class ForwardModel:
         temperature: Array,
         matrices: Sequence[Matrices | FrontCoefficients | Joined],
     ) -> None:
-        """Add the clutter, dimmed by the presses before it, and its derivatives.
+        """Add the clutter, attenuated by the presses before it, and its derivatives.
 
-        With C(z) that of all beyond z and the transmissions t_i both ways of each press, it is
-        C(0) - C(z_1) + t_1 (C(z_1) - C(z_2)) + t_1 t_2 (C(z_2) - ...) + ...
+        With the clutter C(z) of all the tube beyond z and the two-way transmissions t_i of the
+        presses, it is C(0) - C(z_1) + t_1 (C(z_1) - C(z_2)) + t_1 t_2 (C(z_2) - ...) + ...
         """
         if self.clutter.behind is None:
             return
@@ -270,7 +272,7 @@ class ForwardModel:
         dimmed: list[Complex] = [np.ones_like(through[0])]
         for one in through:
             dimmed.append(dimmed[-1] * one)
-        # The sum is C(0) + sum_i (passed_i+1 - passed_i) C(z_i).
+        # The sum is C(0) + sum_i (dimmed_i+1 - dimmed_i) C(z_i).
         for i, (value, by_place, warm) in enumerate(beyond):
             share = gain * (dimmed[i + 1] - dimmed[i])
             spectrum[:, 0] += share * value
@@ -293,7 +295,7 @@ class ForwardModel:
         return self.baseband((), empty, empty, nuisances)[0]
 
     def scale_error(self, place: float) -> float:
-        """Return the standard deviation in m of a place in m by the error of the thermometer."""
-        if self.clutter.behind is None:  # the temperature is estimated with that error
+        """Return the standard deviation in m of a place in m due to the thermometer's error."""
+        if self.clutter.behind is None:  # the estimated temperature contains that error
             return 0.0
         return place * self.base.speed_by_temperature / self.base.speed * self.priors.thermometer

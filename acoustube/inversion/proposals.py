@@ -1,10 +1,10 @@
 """Candidates for a new contact in one cycle.
 
-First the plane wave alone is followed, in some milliseconds: the matched filter of
-:mod:`acoustube.inversion.search`, with what does not depend on the cycle computed beforehand: the
-turns of the phase over the places, and the energies of the echoes in the noise of an untouched
-tube. Where that finds something, all modes are followed: behind a contact, and in bends, sound
-arrives by several of them, centimetres apart.
+First a matched filter for the plane wave alone is applied, in some milliseconds. It is that of
+:mod:`acoustube.inversion.search`, but the quantities that do not depend on the cycle are computed
+beforehand: the phase factors of the places, and the energies of the echoes in the noise of an
+untouched tube. Where this filter detects an echo, all modes are used: behind a contact, and in
+bends, sound arrives by several modes, centimetres apart.
 """
 
 from __future__ import annotations
@@ -28,17 +28,18 @@ from acoustube.inversion.tables import Matrices
 from acoustube.waves.scattering import Complex
 
 PLACE_STEP, DEPTH_STEP = 3e-3, 0.25e-3
-"""Steps in m of the coarse search."""
+"""Steps of place and depth in m in the coarse search."""
 NODES = 0.15
-"""Distance in m of the places at which the energies of echoes are computed."""
+"""Spacing in m of the places at which the energies of echoes are computed."""
 WORTH, MORE_PLACES = 40.0, 2
-"""Gain by the plane wave from which all modes are tried, and places that are kept more then."""
+"""Gain with the plane wave from which all modes are tried, and number of places added to the search
+with all modes."""
 SMOOTHED = 0.4e-3
-"""Time in s over which the noise is averaged: the length of an echo."""
+"""Time in s over which the precision of the samples is averaged: the length of an echo."""
 
 
 class PlaneFilter:
-    """Matched filter for the echoes of a tool by the plane wave.
+    """Matched filter for the plane-wave echoes of a tool.
 
     Parameters
     ----------
@@ -46,7 +47,7 @@ class PlaneFilter:
     tool : int
         Number of the tool in the library.
     noise : float
-        Variance of a sample of a cycle, typical.
+        Typical variance of a sample of a cycle.
     """
 
     def __init__(self, model: ForwardModel, tool: int, noise: float) -> None:
@@ -74,7 +75,7 @@ class PlaneFilter:
         zones = np.searchsorted(starts, nodes, side="right") - 1
         turned = np.exp(-2j * self._phases(nodes))
         spectra = np.stack([shapes[zone] * one for zone, one in zip(zones, turned, strict=True)], 1)
-        # Of both phases, which in samples below the Nyquist rate have different energies.
+        # The mean of both phases, whose energies differ in samples below the Nyquist rate.
         power = [np.abs(quiet(base.transformed(turn * spectra))) ** 2 for turn in (1, 1j)]
         level = np.log(np.maximum(np.sum(power, axis=(0, -1)) / 2, 1e-300))
         share = np.interp(self.places, nodes, np.arange(len(nodes)))
@@ -90,17 +91,17 @@ class PlaneFilter:
         fronts: list[Front],
         within: tuple[float, float] | None = None,
     ) -> float:
-        """Return the highest gain of one more contact.
+        """Return the highest expected gain of one more contact.
 
         Parameters
         ----------
         rest : ndarray
-            Baseband that is not explained yet, (n_time,).
+            Residual in the baseband, (n_time,).
         whiten : Weights
         fronts : list of Front
-            Of the contacts known, by place.
+            Waves behind the known contacts, in the order of place.
         within : (float, float), optional
-            Range of places in m in which alone is searched.
+            Range of places in m to which the search is limited.
         """
         base = self.model.base
         field = base.adjoint(whiten.weighted(rest))
@@ -108,8 +109,8 @@ class PlaneFilter:
         gain = np.empty(energy.shape)
         fields, ends, scales = [field], [0.0], [1.0]
         for front in fronts:
-            # What has passed the contacts, without the path to there, which the turns have, and the
-            # entry, which the shapes have.
+            # Transmission through the contacts, without the path up to there, which is part of the
+            # turns, and without the entry, which is part of the shapes.
             passed = front.out[:, 0] * front.into[:, 0] / self.entered
             passed = passed * np.exp(2j * self._phases(np.array([front.place]), behind=True)[0])
             fields.append(passed.conj() * field)
@@ -127,11 +128,11 @@ class PlaneFilter:
         return float(gain.max())
 
     def _phases(self, places: Array, *, behind: bool = False) -> Complex:
-        """Return the plane wave's phases at places, or behind contacts there, (n, n_f)."""
+        """Return the plane wave's phases in rad at places, or behind contacts there, (n, n_f)."""
         return self.model.path.phases(places, 0.0, behind=behind)[..., 0]
 
     def _dimmed(self, whiten: Weights) -> Array:
-        """Return the precision at the echoes of the places, relative to the untouched tube's."""
+        """Return the precision at the echoes of places, relative to that without contacts, (n,)."""
         base = self.model.base
         ratio = _precision(whiten) / self.quiet
         width = max(1, round(SMOOTHED / base.interval))
@@ -140,7 +141,7 @@ class PlaneFilter:
 
 
 class Proposals:
-    """Candidates for contacts of a tool, by all modes where the plane wave alone finds some.
+    """Search for contacts of a tool, with all modes where the plane wave alone detects an echo.
 
     Parameters
     ----------
@@ -164,16 +165,16 @@ class Proposals:
         within: tuple[float, float] | None = None,
         temperature: float = 0.0,
     ) -> Candidates:
-        """Return candidates for one more contact, none where the plane wave's gain is small.
+        """Return candidates for one more contact, none if the gain with the plane wave is small.
 
         Parameters
         ----------
         rest, whiten, fronts, within
             See :meth:`PlaneFilter.highest`.
         number, fine : int
-            Number of places, to which :data:`MORE_PLACES` are added, and of candidates at each.
+            Number of places, to which :data:`MORE_PLACES` is added, and of candidates at each.
         temperature : float
-            Deviation in K.
+            Deviation of the temperature in K.
         """
         if self.plane.highest(rest, whiten, fronts, within) < WORTH:
             return candidates([])
@@ -184,7 +185,7 @@ class Proposals:
 
 
 def _reflection(model: ForwardModel, matrices: Matrices, place: float) -> Complex:
-    """Return the reflection of the plane wave at a place, at all depths, (n_depths, n_f)."""
+    """Return the plane wave's reflection by presses of all depths at a place, (n_depths, n_f)."""
     at = np.full(len(matrices.value), place)
     return model.path.joined(matrices, at, np.zeros(len(at))).value[:, :, 0, 0, 0, 0]
 

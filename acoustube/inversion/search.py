@@ -1,4 +1,4 @@
-"""Candidates for one more press: correlation of a residual over place, depth and tool."""
+"""Candidates for one more press: correlation of the residual with a tool's echoes (templates)."""
 
 from __future__ import annotations
 
@@ -19,38 +19,39 @@ from acoustube.inversion.paths import Path, stretches
 from acoustube.waves.scattering import Complex
 
 COARSE, FINE, FINE_REACH = 3e-3, 0.5e-3, 12e-3
-"""Steps in m over the places, coarse and fine, and the reach of the fine ones to both sides."""
+"""Coarse and fine steps of place in m, and reach of the fine steps to both sides of a place."""
 DEPTH_STEP = 0.125e-3
+"""Step in m between the depths of templates."""
 NODES, NODES_BEHIND = 0.05, 0.01
-"""Distances in m of the places at which the energy of templates is computed: before the first press
-known, and behind, where modes beat over 2 cm."""
+"""Spacing in m of the places at which the energies of templates are computed, before the first
+known press and behind a press, where modes beat over 2 cm."""
 APART = 0.03
-"""Distance in m of candidates that count as different places."""
+"""Least distance in m between candidates that count as different places."""
 DISTINCT = 1.5e-3, 0.5e-3
-"""Differences of place and depth in m from which two maxima about a place are separate."""
+"""Differences of place and depth in m above which two maxima near a place are separate."""
 KEPT = 40
-"""Places whose reflection is remembered."""
+"""Number of places whose reflection matrices are cached."""
 CHUNK = 40
-"""Nodes whose templates are computed at once."""
+"""Number of nodes whose templates are computed at once."""
 BEFORE, LASTING = 1e-3, 5e-3
-"""Times in s before a template arrives, and after the end of the drive in it, within which its
-energy is computed. The power of sound that is trapped under a press decays by a factor of 1000 in
-the latter; that of modes near their cut-on comes later, up to 6 % of an energy 0.6 m behind a
+"""Range in s of a template over which its energy is computed: before its arrival, and after the end
+of the drive in it. In the latter time, the power of sound that is trapped under a press decays by a
+factor of 1000. Modes near their cut-on arrive later, with up to 6 % of the energy 0.6 m behind a
 press."""
 FAINTEST = 1e-9
-"""Least energy relative to the highest at a place: less is rounding."""
+"""Least energy relative to the highest at a place; lower ones are rounding errors."""
 
 
 class Front(NamedTuple):
-    """Presses before a place, as they are seen from behind.
+    """Waves transmitted in both directions by the presses before a place.
 
     Attributes
     ----------
     place : float
-        Of the last of them, in m.
+        Distance in m of the last of these presses from the face.
     into, out : ndarray
-        Amplitudes of the modes behind it for a plane wave from the face, and of the plane wave at
-        the face for the modes, both (n_f, m).
+        Amplitudes of the modes behind that press for a unit plane wave from the face, and of the
+        plane wave at the face for unit amplitudes of these modes, both (n_f, m).
     """
 
     place: float
@@ -64,9 +65,9 @@ class Candidates(NamedTuple):
     Attributes
     ----------
     gain : ndarray
-        Decrease of the cost that is expected of each.
+        Expected decrease of the cost.
     place, depth : ndarray
-        In m.
+        Place and depth in m.
     """
 
     gain: Array
@@ -75,15 +76,15 @@ class Candidates(NamedTuple):
 
 
 class Templates:
-    """Echoes of a tool at all depths, for correlation.
+    """Templates: the echoes of a tool at all depths, with which a residual is correlated.
 
     Parameters
     ----------
     model : ForwardModel
     tool : int
-        Number of the tool.
+        Number of the tool in the library.
     step : float
-        Of the depths in m.
+        Step of depth in m.
     """
 
     def __init__(self, model: ForwardModel, tool: int, step: float = DEPTH_STEP) -> None:
@@ -114,18 +115,18 @@ class Templates:
         Parameters
         ----------
         residual : ndarray
-            Baseband that is not explained yet, (n_time,).
+            Residual in the baseband, (n_time,).
         whiten : Weights
         fronts : list of Front
-            Of the presses known, by place.
+            Waves behind the known presses, in the order of place.
         number, fine : int
-            Number of places, and of candidates at each.
+            Largest number of places, and of candidates at each.
         within : (float, float), optional
-            Range of places in m in which alone is searched.
+            Range of places in m to which the search is limited.
         least : float
-            Gain that the best candidate is to have, or there is none.
+            Gain that the best candidate has to exceed; otherwise there is none.
         temperature : float
-            Deviation in K.
+            Deviation of the temperature in K.
         """
         base = self.model.base
         field = base.adjoint(whiten.weighted(residual))
@@ -148,7 +149,7 @@ class Templates:
         return candidates(found)
 
     def _refined(self, zone: _Zone, place: float, count: int) -> list[tuple[float, float, float]]:
-        """Return the highest separate maxima of the correlation with its phase, about a place."""
+        """Return the highest separate maxima of the gain near a place, with the echo's phase."""
         places = place + np.arange(-FINE_REACH, FINE_REACH + 1e-9, FINE)
         gain = 2 * (2 * zone.correlation(places).real - zone.energy_at(places))
         return separate(gain, places, self.depths, count)
@@ -156,9 +157,9 @@ class Templates:
     def _zones(
         self, fronts: list[Front], temperature: float, field: Complex
     ) -> tuple[list[_Zone], Array]:
-        """Return templates of the tube before, between and behind presses, and where each begins.
+        """Return templates for the tube before, between and behind presses, and their starts in m.
 
-        Where the presses' matrices vary along the tube, of its stretches.
+        Where the matrices of presses vary along the tube, these parts are divided into stretches.
         """
         path, gain = self.model.path, self.model.base.gain
         before = [at_face(self.model, temperature), *fronts]
@@ -178,7 +179,7 @@ class Templates:
         return found, np.array([start for start, _ in places])
 
     def _reflection(self, place: float) -> Complex:
-        """Return the reflection at all depths of a press at a place, (n_depths, n_f, m, m)."""
+        """Return reflection matrices of all depths at a place, (n_depths, n_f, m, m)."""
         path = self.model.path
         place = place if path.converts else 0.0
         if place not in self._reflections:
@@ -191,15 +192,15 @@ class Templates:
 
 
 class _Zone:
-    """Templates of one stretch of the tube: sums of spectra that travel as two modes each.
+    """Templates for one stretch of the tube: sums of spectra that travel in two modes each.
 
     Parameters
     ----------
     parts : list of (ndarray, int, int)
-        Spectra at the origin for all depths, (n_depths, n_f), and their two modes.
+        Spectra at the origin for all depths, (n_depths, n_f), and their modes there and back.
     path : Path
     front : Front
-        Behind which the stretch lies.
+        Waves at the origin, behind which the stretch lies.
     warmer : float
         Deviation of the temperature in K.
     field : ndarray
@@ -216,11 +217,11 @@ class _Zone:
         self.nodes, self.level = np.zeros(0), np.zeros((0, 0))
 
     def phases(self, places: Array) -> Complex:
-        """Return the modes' phases from the origin to places, (n_places, n_f, m)."""
+        """Return the modes' phases in rad from the origin to places, (n_places, n_f, m)."""
         return self.path.phases(places, self.warmer) - self.start
 
     def set_energy(self, base: Baseband, precision: Complex, places: Array) -> None:
-        """Compute the energies of templates at nodes about places.
+        """Compute the energies of templates at nodes that cover places.
 
         Parameters
         ----------
@@ -264,17 +265,17 @@ class _Zone:
         return np.asarray(products.reshape(len(products), -1))
 
     def correlation(self, places: Array) -> Complex:
-        """Return the products of the templates with the field, (n_depths, n_places)."""
+        """Return the correlations of the templates with the field, (n_depths, n_places)."""
         factors = self._factors(places).conj()
         return np.asarray(self._filters @ factors.reshape(len(places), -1).T)
 
     def _spectra(self, places: Array) -> Complex:
-        """Return the spectra at places, (n_places, n_depths, n_f)."""
+        """Return the spectra of templates at places, (n_places, n_depths, n_f)."""
         found = self._factors(places).transpose(2, 0, 1) @ self._shapes.transpose(2, 1, 0)
         return np.asarray(np.moveaxis(found, 0, -1))
 
     def _factors(self, places: Array) -> Complex:
-        """Return the factors of the parts from the origin to places, (n_places, n_parts, n_f)."""
+        """Return the parts' factors from origin to places and back, (n_places, n_parts, n_f)."""
         modes = propagation_factor(self.phases(places))
         return np.stack([modes[..., a] * modes[..., b] for _, a, b in self.parts], axis=1)
 
@@ -290,25 +291,25 @@ def propagation_factor(phases: Complex) -> Complex:
 
 
 def around(place: float) -> tuple[float, float]:
-    """Return the range of places in m about a maximum that belong to it."""
+    """Return the range of places in m that belong to a maximum at a place."""
     return place - FINE_REACH, place + FINE_REACH
 
 
 def within_range(places: Array, limits: tuple[float, float] | None) -> NDArray[np.bool_]:
-    """Return which places (n,) lie within limits, all if there are none."""
+    """Return whether places (n,) lie within limits; without limits, all do."""
     low, high = limits or (-np.inf, np.inf)
     return np.asarray((places >= low) & (places <= high))
 
 
 def exclude(gain: Array, places: Array, known: Sequence[float], sought: NDArray[np.bool_]) -> None:
-    """Set the gain (n_depths, n_places) to minus infinity next to presses and where not sought."""
+    """Set gains (n_depths, n_places) to minus infinity near known presses and where not sought."""
     for place in known:
         gain[:, np.abs(places - place) < CLOSEST] = -np.inf
     gain[:, ~sought] = -np.inf
 
 
 def apart(gain: Array, places: Array, number: int) -> list[int]:
-    """Return those of places (n,) with the highest positive gains, all apart."""
+    """Return the indices of the highest positive gains (n,), at least :data:`APART` apart."""
     left, found = gain.copy(), list[int]()
     for _ in range(number):
         best = int(np.argmax(left))
@@ -324,7 +325,7 @@ def separate(
 ) -> list[tuple[float, float, float]]:
     """Return gain, place and depth of the highest separate maxima of a gain (n_depths, n_places).
 
-    The gain is changed.
+    The array of gains is overwritten.
     """
     rows = round(DISTINCT[1] / (depths[1] - depths[0]))
     columns = round(DISTINCT[0] / (places[1] - places[0]))
@@ -339,13 +340,13 @@ def separate(
 
 
 def candidates(found: list[tuple[float, float, float]]) -> Candidates:
-    """Return candidates of gains, places and depths, the best first."""
+    """Return candidates from tuples of gain, place and depth, the best first."""
     table = np.array(sorted(found, key=lambda one: -one[0])).reshape(-1, 3)
     return Candidates(table[:, 0], table[:, 1], table[:, 2])
 
 
 def at_face(model: ForwardModel, temperature: float) -> Front:
-    """Return the plane wave from the face, in the modes by which sound propagates from there."""
+    """Return the front of no press: the plane wave from the face, in the modes of the path."""
     entry = model.path.entry(np.array([temperature]))
     if entry is None:
         plane = np.zeros((len(model.base.frequency), model.path.modes), complex)
@@ -357,7 +358,7 @@ def at_face(model: ForwardModel, temperature: float) -> Front:
 def front_of(
     model: ForwardModel, tools: tuple[int, ...], places: Array, depths: Array, nuisances: Array
 ) -> list[Front]:
-    """Return what each of several presses leaves behind it, multiple reflections left out."""
+    """Return the waves behind each of several presses, without multiple reflections."""
     path, warm = model.path, nuisances[:1]
     stretch = model.stretch + model.stretch_by_temperature * warm + nuisances[5:6]
     _, into, out = at_face(model, float(warm[0]))

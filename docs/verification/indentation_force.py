@@ -2,14 +2,15 @@
 Indentation: force and height under a rod
 =========================================
 
-The sleeve paper's tube under a 25 mm rod, on a coarse mesh (one element through the wall), compared
-with a solution of CalculiX with 1056 elements of another kind (`tests/data/indentation_rod25.csv`).
+The sleeve paper's tube under a 25 mm rod is computed on a coarse mesh, with one element through the
+wall. Force and height of the lumen are compared with a solution of CalculiX with 1056 elements of
+another kind (`tests/data/indentation_rod25.csv`).
 """
 
 # %%
 # Press, and read the reference
 # -----------------------------
-# Presses are cached: the other pages that need this one do not compute it again.
+# Presses are cached: other pages that need this press do not compute it again.
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -32,8 +33,9 @@ expected_height = np.interp(DEPTHS, reference["depth_mm"], reference["lumen_heig
 # %%
 # Compare
 # -------
-# One element through the wall is slightly too stiff; with the default two the force is within
-# 0.3 % of the same reference up to 4 mm and 1.2 % at 6 mm (see the page of the stage).
+# A mesh with one element through the wall is slightly too stiff. With the three elements of the
+# default mesh, the force is within 0.2 % of the limit of refined meshes up to 6 mm (see the page of
+# the stage).
 force = press.contact_force[rows]
 height = np.array([1e3 * measure(press, row, np.zeros(1)).height[0] for row in rows])
 force_error = force / expected - 1

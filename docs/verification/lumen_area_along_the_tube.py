@@ -2,9 +2,9 @@
 Lumen: area along the tube
 ==========================
 
-The lumen's cross-section 4 mm under a 25 mm rod, cut from the deformed wall in planes, against
-that of an independent solution (`tests/data/indentation_rod25_area_at_4mm.csv`, two codes within
-0.013 mm²).
+The area of the lumen's cross-sections is measured in planes that cut the deformed wall, at a depth
+of 4 mm under a 25 mm rod. It is compared with an independent solution
+(`tests/data/indentation_rod25_area_at_4mm.csv`, in which two codes agree within 0.013 mm²).
 """
 
 # %%
@@ -26,8 +26,8 @@ path = Path("../../tests/data/indentation_rod25_area_at_4mm.csv")
 reference = np.genfromtxt(path, delimiter=",", names=True, skip_header=3)
 
 # %%
-# The planes are those of the deformed tube, which tilts off the floor: they cut its far part
-# aslant in the reference, too.
+# The planes are perpendicular to the axis of the undeformed tube. Far from the rod the tube tilts
+# off the floor, so that the planes cut it obliquely, in the reference too.
 z = 1e-3 * reference["z_mm"]
 area = 1e6 * measure(press, increment, z).area
 error = area - reference["area_mm2"]

@@ -2,7 +2,7 @@
 Physics: attenuation
 ====================
 
-What a straight tube takes from the sound: at the wall, by viscosity and heat, and in the air
+Sound in a straight tube is attenuated at the wall, by viscosity and heat conduction, and in the air
 itself.
 """
 
@@ -20,8 +20,9 @@ bores = np.linspace(3, 20, 60)
 # %%
 # By frequency in the default bore, and by bore
 # ---------------------------------------------
-# The plane mode's loss goes with the root of the frequency, and with one over the bore. A higher
-# mode loses more, without bound next to its cut-on, where it hardly moves.
+# The attenuation of the plane mode is proportional to the root of the frequency and to the inverse
+# of the bore. That of a higher mode is larger. It grows without bound towards the mode's cut-on,
+# where its group velocity tends to zero.
 losses = {}
 for m, n in ((0, 0), (1, 1), (2, 1)):
     kz = axial_wavenumber(m, n, frequency, 3.95e-3, AIR)

@@ -2,8 +2,9 @@
 Physics: modes of the bore
 ==========================
 
-Sound travels along a bore in patterns, each from its own cut-on frequency on. Those of the
-paper's bore, as the grid of the wave stage has them, and where the carrier lies among them.
+Sound propagates along a bore in modes, each above its own cut-on frequency. This page shows the
+modes of the sleeve paper's bore on the grid of the time-domain solver (FDTD), and where the carrier
+lies among their cut-ons.
 """
 
 # %%
@@ -49,13 +50,16 @@ plt.show()
 # %%
 # Why the carrier sits at a cut-on
 # --------------------------------
-# Cut-ons go with the speed of sound, which goes with the temperature. The carrier of 42 kHz meets
-# that of (2,1) at 16.7 degC, and the pulse's band holds it at all temperatures of a room.
+# Cut-ons are proportional to the speed of sound, which depends on the temperature. The cut-on of
+# (2,1) equals the carrier of 42 kHz at 16.7 degC. It lies in the pulse's band at all temperatures
+# of a room.
 temperature = np.linspace(0, 40, 81)
 speed = np.array([air_at(t).sound_speed for t in temperature])
 band = 1e-3 * np.array(Pulse(frequency=42e3).band())
 crossing = float(np.interp(42e3, [cut_on_frequency(2, 1, RADIUS, c) for c in speed], temperature))
-print(f"(2,1) cuts on at 42 kHz in air of {crossing:.1f} degC; the pulse holds {band.round(1)} kHz")
+print(
+    f"(2,1) cuts on at 42 kHz in air of {crossing:.1f} degC; band of the pulse: {band.round(1)} kHz"
+)
 
 figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
 axes.axhspan(*band, color="0.92", label="band of the pulse, to -20 dB")

@@ -24,7 +24,7 @@ part = pressed_part(press, press.rows_at(depths)[4])
 # %%
 # The scattering of a press of 5 mm, on a coarse grid
 # ---------------------------------------------------
-# Without losses the powers of all that is reflected and passed on add up to one.
+# Without losses the reflected and transmitted powers of all modes add up to one.
 matrix, *_ = scattering_of(
     part, air_at(20.0), (20e3, 55e3), method="scattering", bore=7.9e-3, resolution=12, lossy=False
 )
@@ -35,7 +35,7 @@ balance = float(np.abs((reflected + passed_on).sum(axis=1)[settled] - 1).max())
 band = settled & (np.abs(matrix.frequency - 42e3) < 2.5e3)
 in_plane = float(reflected[band, 0].mean() / reflected[band].sum(axis=1).mean())
 print(f"the powers add up to one within {balance:.4f}")
-print(f"from 39.5 to 44.5 kHz {100 * in_plane:.0f} % of what comes back is a plane wave")
+print(f"from 39.5 to 44.5 kHz {100 * in_plane:.0f} % of the reflected power is in the plane wave")
 
 # %%
 figure, axes = plt.subplots(figsize=(8, 4.5), layout="constrained")

@@ -2,8 +2,8 @@
 Physics: what a press does to the lumen and to its modes
 ========================================================
 
-A 25 mm rod on the default tube, on a coarse mesh: the section under it, and the frequencies from
-which the modes of that section travel.
+A 25 mm rod presses the default tube, computed on a coarse mesh. The figures show the section under
+the rod, and the cut-on frequencies above which the modes of that section propagate.
 """
 
 # %%
@@ -24,10 +24,11 @@ depths = np.concatenate([[0], DEPTHS])
 # %%
 # The modes symmetric about the vertical plane, in the middle of the press
 # ------------------------------------------------------------------------
-# The press lowers the lumen and widens it. The mode that swings upright, the lowest of the round
-# bore, cuts on later and later; the next, (2,1), which swings across, cuts on earlier. Near 3 mm
-# the two change places: the lowest curve is then that which swings across, and the second is
-# upright, above the carrier from 3.4 mm on.
+# The press lowers the lumen and widens it. The lowest mode of the round bore, whose pressure varies
+# vertically, cuts on at higher and higher frequencies. The next mode, (2,1), whose pressure varies
+# horizontally, cuts on at lower frequencies. Near 3 mm the two curves change places: the lowest is
+# then the horizontal mode and the second the vertical one. The cut-on of the vertical mode is above
+# the carrier at depths of 3.4 mm and more.
 SPEED = 343.2
 cut_ons = []
 for part in parts:
@@ -37,7 +38,7 @@ for part in parts:
 cut_ons = 1e-3 * np.array(cut_ons)
 deep = depths >= 3
 blocked = float(np.interp(42, cut_ons[deep, 1], depths[deep]))
-print(f"what swings upright does not pass the rod at 42 kHz from a depth of {blocked:.1f} mm on")
+print(f"the upright mode does not pass the rod at 42 kHz from a depth of {blocked:.1f} mm on")
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")

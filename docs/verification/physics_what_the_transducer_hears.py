@@ -2,8 +2,9 @@
 Physics: the recorded signal
 ============================
 
-Cycles of the default rangefinder on 2.5 m of the sleeve paper's tube: its ring-down first, then
-reflections of weak irregularities all along the tube, with the echo of a closure among them.
+The default rangefinder records cycles on 2.5 m of the sleeve paper's tube. A cycle begins with the
+ring-down of the transducer. Reflections of weak irregularities all along the tube follow, with the
+echo of a closure among them.
 """
 
 # %%
@@ -24,8 +25,8 @@ time = heard[None][0]
 # %%
 # The dead zone: how long the transducer rings
 # --------------------------------------------
-# The resonator's amplitude falls by e every Q / (pi f) seconds. The echo of a closure is detected
-# once it exceeds the ringing.
+# The resonator's amplitude falls by a factor of e every Q / (pi f) seconds. The echo of a closure
+# is detected once it exceeds the ringing.
 envelopes = {
     place: signals.envelope(voltage, sensor.sampling_rate) for place, (_, voltage) in heard.items()
 }

@@ -3,14 +3,14 @@ Ranging: the echo of a closed tube
 ==================================
 
 A rangefinder records a tube that is closed at one position after another. The attenuation over the
-round trip is known in closed form where the boundary layers are thin against the bore (Kirchhoff's
-wide tube).
+round trip is known in closed form where the boundary layers are thin compared with the bore
+(Kirchhoff's wide tube).
 """
 
 # %%
 # Attenuation of the plane mode
 # -----------------------------
-# acoustube takes Zwikker and Kosten's solution, which holds for any bore. Kirchhoff's limit is
+# acoustube uses Zwikker and Kosten's solution, which holds for any bore. Kirchhoff's limit is
 # alpha = sqrt(omega / 2) (sqrt(nu) + (gamma - 1) sqrt(nu_t)) / (R c).
 import matplotlib.pyplot as plt
 import numpy as np
@@ -24,7 +24,7 @@ DB = 20 / np.log(10)
 
 
 def kirchhoff(frequency, radius):
-    """Return the wide tube's attenuation in Np/m, with the air's own absorption."""
+    """Return the attenuation of the wide tube in Np/m, with the air's own absorption."""
     layers = np.sqrt(AIR.viscous_diffusivity)
     layers += (AIR.heat_capacity_ratio - 1) * np.sqrt(AIR.thermal_diffusivity)
     wall = np.sqrt(np.pi * frequency) * layers / (radius * AIR.sound_speed)
@@ -40,7 +40,8 @@ print(f"at 42 kHz in 7.9 mm the two differ by {100 * at_carrier:+.2f} %")
 # %%
 # The echo's spectrum at the carrier, from closures every 20 cm
 # -------------------------------------------------------------
-# An ideal sensor: no ring-down, no noise, a face and a far end that reflect nothing.
+# The sensor is ideal: it has no ring-down and no noise, and its face and the far end reflect
+# nothing.
 places = np.arange(0.3, 2.2, 0.2)
 echoes = []
 for place in places:
@@ -62,6 +63,6 @@ left.set(xlabel="frequency (kHz)", ylabel="attenuation (dB/m)")
 left.legend(title="dashed: wide tube")
 right.plot(1e2 * places, level, "o", label="recorded")
 right.plot(1e2 * places, expected, "k--", lw=1, label="wide tube, there and back")
-right.set(xlabel="place of the closure (cm)", ylabel="echo at 42 kHz (dB)")
+right.set(xlabel="position of the closure (cm)", ylabel="echo at 42 kHz (dB)")
 right.legend()
 plt.show()

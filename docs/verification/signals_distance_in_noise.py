@@ -2,15 +2,16 @@
 Signals: distance in noise
 ==========================
 
-Synthetic cycles, a send pulse and one echo, go through the processing with fresh noise each. The
-spread of the distances is held against the deviation that is stated with each, and against the
-Cramér-Rao bound: no unbiased estimate from a pulse of unknown phase and height can have less.
+Synthetic cycles of a send pulse and one echo are processed, each with its own noise. The spread of
+the estimated distances is compared with the standard deviation that is stated with each of them,
+and with the Cramér-Rao bound. No unbiased estimate from a pulse of unknown phase and height can
+have a smaller deviation than this bound.
 """
 
 # %%
 # The cycles
 # ----------
-# Their place is moved by up to a millimetre, so that all offsets between samples occur.
+# The position of the echo varies by up to a millimetre, so that all offsets between samples occur.
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -45,8 +46,8 @@ for name, how in (("matched", matched), ("plain", plain)):
 # %%
 # The bound
 # ---------
-# Var(t) >= 2 noise² / sum of (A g')², with the envelope A g of the echo; half of that way is the
-# distance.
+# The delay t of the echo has Var(t) >= 2 noise² / sum of (A g')², with the envelope A g of the
+# echo. The distance is half of the path that sound travels in this delay.
 moment = np.arange(0, pulse.duration, 1 / RATE) - pulse.duration / 2
 envelope = np.exp(-0.5 * (moment / pulse.sigma) ** 2)
 slope = HEIGHT * envelope * moment / pulse.sigma**2
@@ -57,9 +58,9 @@ for name, rows in table.items():
     print(f"{name}: spread over stated deviation {ratio:.2f}, bias up to {bias:.2f} mm")
 
 # %%
-# The estimated deviation equals the spread. The noise is measured where there is no echo; rectified
-# there, its deviation is sqrt(1 - 2 / pi) of that with an echo, which the processing corrects. The
-# floor of 0.1 to 0.2 mm is that of the sampled absolute value.
+# The stated deviation equals the spread. The noise is measured where there is no echo. There the
+# noise alone is rectified, so that its deviation is sqrt(1 - 2 / pi) of that with an echo; the
+# processing corrects this. The floor of 0.1 to 0.2 mm is that of the sampled absolute value.
 figure, panels = plt.subplots(1, 2, figsize=(10, 4.2), sharey=True, layout="constrained")
 share = 100 * noise_levels / HEIGHT
 for axes, (name, rows) in zip(panels, table.items(), strict=True):

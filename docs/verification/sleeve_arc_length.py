@@ -2,9 +2,9 @@
 Sleeve: length along the tube
 =============================
 
-The table from a distance to a place is a trapezoidal rule over the helix. It is held against
-adaptive quadrature of the same density, and, on a cylinder, against the hypotenuse of the
-unrolled tube.
+The table that converts a distance along the tube to a position on the arm integrates the length of
+the helix by the trapezoidal rule. It is compared with adaptive quadrature of the same density (tube
+length per length of the arm), and on a cylinder with the hypotenuse of the unrolled tube.
 """
 
 # %%
@@ -33,8 +33,8 @@ def exact_length(shape):
 
 
 # %%
-# On a forearm the density hardly bends, and even ten intervals are right to 3 um; two thousand are
-# usual.
+# On a forearm the density is almost linear, and the length is within 3 um even with ten intervals.
+# The default is two thousand.
 intervals = np.array([10, 20, 40, 80, 160, 320, 640, 2000])
 errors = {}
 for name, shape in SHAPES.items():

@@ -2,15 +2,15 @@
 Tube: section of the mesh, and stiffness from hardness
 ======================================================
 
-The wall is swept from a section of quadratic elements. Its area is held against the ring's, pi
-(B² - A²), and the modulus that the hardness gives against Gent's theory of a flat punch on an
-elastic half space.
+The mesh of the wall is a section of quadratic elements, swept along the tube. The area of the
+section is compared with that of the ring, pi (B² - A²). The modulus that follows from the hardness
+is compared with Gent's theory of a flat punch on an elastic half space.
 """
 
 # %%
 # The area of the section, from the volume of the elements
 # --------------------------------------------------------
-# Quadratic edges follow a circle with an error of fourth order.
+# Quadratic edges approximate a circle with an error of fourth order.
 from dataclasses import replace
 
 import matplotlib.pyplot as plt
@@ -24,7 +24,7 @@ exact = np.pi / 4 * (tube.outer_diameter**2 - tube.inner_diameter**2)
 
 
 def section_area(around):
-    """Return the area in m2 of a tube that is meshed by so many elements around half of it."""
+    """Return the area in m2 of a tube meshed with this number of elements around half of it."""
     mesh = sweep(tube, reach, replace(USUAL_MESH, around=around))
     shape = mesh.reference
     slopes = np.einsum("qad,eax->eqxd", shape.slopes, mesh.points[mesh.elements])
@@ -42,7 +42,7 @@ print(f"order {order:.2f}; {usual:.1e} of the area with the usual {USUAL_MESH.ar
 # The modulus
 # -----------
 # Gent (1958, doi:10.5254/1.3542351) derived E = 0.0981 (56 + 7.62336 S) / (0.137505 (254 - 2.54 S))
-# MPa from the durometer's geometry. Ours is the sleeve paper's fit to silicones.
+# MPa from the durometer's geometry. acoustube uses the sleeve paper's fit to silicones.
 hardness = np.linspace(15, 75, 61)
 fitted = 3e-6 * shear_modulus_from_shore(hardness)
 gent = 0.0981 * (56 + 7.62336 * hardness) / (0.137505 * (254 - 2.54 * hardness))

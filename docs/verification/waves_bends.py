@@ -2,9 +2,9 @@
 Waves: a sharp bend
 ===================
 
-A bend of 90 degrees about a centre 10 mm away, two and a half bore radii, against finite elements
-in three dimensions (`tests/data/bend.csv`), which share nothing with the multimodal method but
-the ends' modes.
+A bend of 90 degrees has a radius of 10 mm, two and a half bore radii. Its scattering by the
+multimodal method is compared with finite elements in three dimensions (`tests/data/bend.csv`). The
+two methods have only the modes of the ends in common.
 """
 
 # %%
@@ -23,7 +23,8 @@ with path.open() as file:
     rows = list(csv.DictReader(file))
 
 # %%
-# The reference is for 343.2 m/s; sound of the same wavelength scatters alike in any lossless air.
+# The reference is for 343.2 m/s. In any lossless air sound of the same wavelength scatters alike,
+# so the frequencies are scaled by the speed of sound.
 ratio = AIR.sound_speed / 343.2
 frequency = np.linspace(8e3, 50e3, 211)
 settings = {

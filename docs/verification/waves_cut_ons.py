@@ -3,8 +3,8 @@ Waves: cut-ons of the round bore
 ================================
 
 A mode of a round bore cuts on where kR is a zero of the derivative of a Bessel function. On the
-grid of cut cells it cuts on a little off, by an error that falls with the square of the cell; on
-a grid of whole cells that falls slowly, if at all.
+grid of cut cells the cut-on has a small error, which falls with the square of the cell size. On a
+grid of whole cells the error falls slowly, if at all.
 """
 
 # %%
@@ -28,7 +28,8 @@ exact = np.array([cut_on_frequency(m, n, RADIUS, AIR.sound_speed) for m, n in MO
 def slice_of_bore(resolution):
     """Return two layers of cells of the bore."""
     h = 2 * RADIUS / resolution
-    # Made at unit size: facets of a cylinder that is thin in metres would be dropped.
+    # The cylinder is made at unit size and then scaled: facets of one thin in metres would be
+    # dropped.
     bore = trimesh.creation.cylinder(1.0, 1.0, sections=512)
     bore.apply_translation([0, 0, 0.5])
     bore.apply_transform(np.diag([RADIUS, RADIUS, 1.5 * h, 1.0]))
@@ -37,7 +38,7 @@ def slice_of_bore(resolution):
 
 
 def whole_cells(cells):
-    """Return the same section of whole cells: those more than half full."""
+    """Return the same section made of whole cells: those that are more than half full."""
     full = np.where(cells.volume_fraction > 0.5, 1.0, 0.0)
     open_x, open_y = np.zeros_like(cells.open_x), np.zeros_like(cells.open_y)
     open_x[1:-1], open_y[:, 1:-1] = full[1:] * full[:-1], full[:, 1:] * full[:, :-1]
