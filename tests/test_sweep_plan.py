@@ -220,7 +220,7 @@ def test_wrong_plans_are_refused_in_one_sentence(words, parts, capsys, tmp_path)
     [
         ("[sweep]\nsteps = 3\n", ["[sweep] steps is not known", "count"]),
         ("[sweep]\nover = 3\n", ["over"]),
-        ("[sweep.over]\ndepth_mm = {a = 1}\n", ["depth_mm must be a list or a range"]),
+        ("[sweep.over]\ndepth_mm = {a = 1}\n", ["depth_mm is a table; give a list"]),
         ("[sweep.over]\ndepth_mm = []\n", ["depth_mm has no values", "no cases"]),
         ("[sweep.over]\ndepht_mm = [1]\n", ["depht_mm is not a setting", "depth_mm"]),
         ("[sweep.over]\ndepth_mm=[1]\n[[sweep.case]]\nwall_mm=1\n", ["give one"]),

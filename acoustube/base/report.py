@@ -68,7 +68,7 @@ class Silent:
     """Reporter that discards everything."""
 
     def title(self, text: str) -> None:
-        """Discard a title."""
+        """Do nothing: this reporter shows no titles."""
 
     line = note = failure = title
 

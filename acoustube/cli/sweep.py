@@ -87,14 +87,14 @@ class Execution:
     out : Path
         Folder to write, or to resume.
     shard : str
-        Part of the plan to compute, such as 3/40, the third of 40 equal parts, for job arrays; all
-        write to one folder.
+        Part of the plan to compute, for job arrays: 3/40 is the third of 40 parts. All parts write
+        to the same folder.
     dask : str
         Address of the scheduler of a running Dask cluster, in place of processes.
     retry : str
-        Cases to compute again: failed ones.
+        Cases to compute again: ``failed``.
     dry_run : bool
-        Report alone, of cases, cached results and expected costs; nothing is computed.
+        List of cases, cached results and expected costs; nothing is computed.
     """
 
     out: Path | None = None

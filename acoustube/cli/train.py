@@ -36,9 +36,9 @@ class Training(Checked):
     Attributes
     ----------
     by : str
-        Groups that are held out together in the cross-validation, which weights the folds and gives
-        the uncertainties: single cycles, as in the sleeve paper, sessions (files, where cycles have
-        none), or tubes.
+        Groups that are held out together in the cross-validation, whose errors weight the folds
+        and give the uncertainties: single cycles, as in the sleeve paper, sessions (files, if
+        cycles have no session), or tubes.
     epochs : int
         Training epochs (default 100, for ``echo`` 25); number of trees for ``boosting`` (150).
     folds : int

@@ -18,7 +18,7 @@ from acoustube.estimation.trees import export_trees, predict_trees
 from acoustube.estimation.uncertainty import Folds, Report
 
 MIN_SCALE = 0.05
-"""Smallest stated scale, relative to the median absolute held-out residual."""
+"""Least scale of an error that is predicted, relative to the median absolute held-out residual."""
 
 
 @dataclass(kw_only=True, eq=False, repr=False)

@@ -249,7 +249,7 @@ def _in_child(**arguments: Any) -> tuple[Array, Index]:
 
 
 def _column(bounds: Array, z: Array) -> tuple[Array, Index]:
-    """Return a column of boxes around a piece, each of six tetrahedra (the background mesh)."""
+    """Return the background mesh: boxes along z around a piece, each of six tetrahedra."""
     low, high = bounds + 0.1 * np.ptp(bounds[:, :2]) * np.array([[-1.0], [1.0]])
     z = z.copy()
     z[[0, -1]] = low[2], high[2]

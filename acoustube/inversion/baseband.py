@@ -255,7 +255,7 @@ class Baseband:
         return self._of_samples(samples)
 
     def transformed(self, spectrum: Complex) -> Complex:
-        """Return the baseband (..., n_time) of spectra (..., n_f) in counts s on the grid."""
+        """Return the baseband (..., n_time) of spectra (..., n_f) in counts times seconds."""
         scale = 2 * len(self.bins) * self.step
         taper = (scale * self.taper).astype(spectrum.real.dtype)
         return np.asarray(np.fft.ifft(spectrum * taper, axis=-1)[..., self.used])

@@ -43,7 +43,8 @@ JUDGED = 4
 OUTLIER = 9.0
 """Cap on the squared whitened residual in the robust choice of the initial temperature."""
 KEPT = 3
-"""Number of candidates, for each tool and order along the tube, whose model error is estimated."""
+"""Number of candidates whose model error is estimated, for each indenter and number in the sequence
+of presses along the tube."""
 SEARCHED = 0.02
 """Largest relative error of the model with which presses are sought."""
 STARTS = 2, 10

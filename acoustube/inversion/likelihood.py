@@ -195,7 +195,7 @@ def _factor(
 
 
 def _log_determinant(factor: Complex, scale: Array) -> float:
-    """Return the logarithm of the covariance's determinant, from its scaled factor and scale."""
+    """Return the log determinant of the covariance, from the Cholesky factor of the scaled one."""
     size = np.log(np.diag(factor).real.astype(float)) - np.log(scale)
     return 2 * float(size.sum())
 

@@ -94,7 +94,7 @@ class Priors:
         return np.array([getattr(self, name) for name in NUISANCES])
 
     def offsets(self, depths: Array) -> Array:
-        """Return the standard deviations of the offsets in place and depth of presses.
+        """Return the standard deviations of place and depth relative to the library's presses.
 
         Parameters
         ----------

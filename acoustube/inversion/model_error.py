@@ -95,7 +95,7 @@ def discrepancy(
 def restricted_deviance(
     model: ForwardModel, parameters: Array, rest: Complex, slopes: Complex, logarithm: float
 ) -> Array:
-    """Return minus twice the log likelihood of errors, with the parameters marginalised, (n,).
+    """Return minus twice the log likelihood with the parameters marginalised, (n,).
 
     The model is linearised about each set of parameters, within the largest steps of an iteration.
     The result omits a constant.

@@ -34,8 +34,8 @@ KEPT = 40
 CHUNK = 40
 """Number of nodes whose templates are computed at once."""
 BEFORE, LASTING = 1e-3, 5e-3
-"""Range in s of a template over which its energy is computed: before its arrival, and after the end
-of the drive in it. In the latter time, the power of sound that is trapped under a press decays by a
+"""Times in s before the arrival of a template and after the end of the drive in it, between which
+its energy is computed. In the latter, the power of sound that is trapped under a press decays by a
 factor of 1000. Modes near their cut-on arrive later, with up to 6 % of the energy 0.6 m behind a
 press."""
 FAINTEST = 1e-9
@@ -118,13 +118,13 @@ class Templates:
             Residual in the baseband, (n_time,).
         whiten : Weights
         fronts : list of Front
-            Waves behind the known presses, in the order of place.
+            Transmitted waves behind each press already found, in the order of place.
         number, fine : int
-            Largest number of places, and of candidates at each.
+            Largest number of places that are kept, and of candidates at each.
         within : (float, float), optional
             Range of places in m to which the search is limited.
         least : float
-            Gain that the best candidate has to exceed; otherwise there is none.
+            Decrease of the cost that the best candidate must exceed; otherwise there is none.
         temperature : float
             Deviation of the temperature in K.
         """

@@ -28,7 +28,7 @@ MOST_MODES = 3
 ONWARDS, BACK = 9, 10
 """Indices of the transmission coefficients in :class:`FrontCoefficients`."""
 ROUNDING = 1e-5
-"""Rms error of the coefficients that the interpolation assumes, relative to their rms."""
+"""Assumed rms error of the given scattering coefficients, relative to their rms."""
 
 
 class Matrices(NamedTuple):

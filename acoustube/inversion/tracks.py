@@ -65,14 +65,14 @@ YOUNG, OFTEN, SELDOM, RARELY = 15, 2, 6, 12
 """Cycles for which a contact is young; cycles between tests for other maxima while one is young or
 the fit is bad, between tests for weak contacts, and between other tests for other maxima."""
 MERGED = 3
-"""Cycles between tests of whether a young contact and its neighbour are one."""
+"""Cycles between tests of whether a young contact and its neighbour are a single contact."""
 LOUD = 3.0
 """Smoothed level of the whitened residual above which a new contact is sought at once."""
 BAD = 3.0
 """Mean square of the whitened residual above which a fit is bad, as is one with a large misfit."""
 ADAPTED, RISE = 0.2, 1.5
-"""Weight of a cycle in the estimated error of the model, and limit of the cycle's misfit relative
-to that error: an echo that is not explained yet is no error of the model."""
+"""Weight of a cycle in the running estimate of the model's error, and cap on its misfit relative to
+that estimate, which the echo of a contact not detected yet must not raise."""
 ERROR, ERRORS = 0.03, (0.003, 0.4)
 """Initial relative error of the model, and its range."""
 SPREAD, BENT_SPREAD = 5e-4, 6e-3

@@ -248,7 +248,7 @@ def _fresnel(off: Complex, rate: float, end: float) -> Complex:
     root = np.exp(-0.25j * pi) * sqrt(pi * rate)
 
     def tail(u: Complex) -> Complex:
-        """Return exp(-j pi rate u^2) times the integral from u away from 0."""
+        """Return exp(-j pi rate u^2) times the Fresnel integral from u away from 0, scaled."""
         return np.where(u.real >= 0, 1.0, -1.0) * wofz(1j * root * np.where(u.real >= 0, u, -u))
 
     turn = np.exp(1j * pi * rate * end * (2 * a + end))

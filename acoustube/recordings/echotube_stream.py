@@ -223,7 +223,7 @@ class Receiver:
 
     @property
     def waiting(self) -> int:
-        """Number of cycles that wait."""
+        """Number of cycles received and not yet taken."""
         return len(self._waiting)
 
     def __enter__(self) -> Receiver:

@@ -186,8 +186,8 @@ def _from_c3d(path: Path) -> tuple[Rows, str | None]:
         found = {label["name"]: value for label, value in child.read("c3d", path, "markers")}
     except child.MissingPackage:
         raise ConfigError(
-            f"{path} needs the package ezc3d; pip install acoustube[c3d], or save the markers as "
-            "CSV"
+            f"{path} needs the package ezc3d; run pip install 'acoustube[c3d]', or save the "
+            "markers as CSV"
         ) from None
     unit = found["unit"].strip().lower() or None
     if unit is not None and unit not in UNITS:

@@ -101,7 +101,7 @@ def read_table(path: Path) -> Contents:
     labels such as ``temperature``, or with two or more columns whose names end in a number and
     others that do not, each row is a cycle. Else the longer side is the time, and rows are cycles
     where both are equal. In a table without names whose rows outnumber the columns, a first column
-    that increases evenly in steps under 10 ms (of two columns, in steps of any size) is the time.
+    that increases evenly in steps under 10 ms is the time; of two columns, in steps of any size.
     """
     names, columns, settings = _cells(path)
     return settings | (_named_columns(names, columns) if names else _unnamed_columns(columns))

@@ -102,5 +102,5 @@ def _estimated(found: Inversion) -> dict[str, float]:
 
 
 def _rank(contact: Contact) -> tuple[float, float]:
-    """Return rounded probability and force: false detections are seldom as probable as contacts."""
+    """Return the sort key of a contact: its rounded probability, then its force."""
     return round(contact.probability, 2), contact.force.value

@@ -116,7 +116,7 @@ def cache_key(settings: SIPress, depths: Sequence[float]) -> str:
 
 
 def wall_in_words(settings: SIPress) -> str:
-    """Return the sizes or the file of the tube as text."""
+    """Return the bore and the wall as text, or the name of the surface's file."""
     if settings.surface is not None:
         return Path(settings.surface).name
     tube = settings.tube

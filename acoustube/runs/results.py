@@ -175,7 +175,7 @@ def press_dataset(
 
 
 def _lengthened(value: Variable, missing: int) -> Variable:
-    """Return a variable with rows of nan for depths that were not reached."""
+    """Return a variable padded with nan (0 in integers) for depths that were not reached."""
     dims, values, attributes = value
     if dims[0] != "depth" or missing == 0:
         return value

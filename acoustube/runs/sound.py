@@ -248,7 +248,7 @@ def spectral_scattering_of(
 
 
 def _frequencies(band: tuple[float, float], step: float) -> NDArray[np.float64]:
-    """Return even frequencies in Hz over a band."""
+    """Return equally spaced frequencies in Hz over a band."""
     lowest, highest = band
     return np.asarray(lowest + step * np.arange(int(np.ceil((highest - lowest) / step)) + 1))
 

@@ -25,7 +25,7 @@ BEFORE_END = 0.05
 FEWEST = 8
 """Smallest number of closures of a calibration."""
 LEAST_SPEED = 330.0
-"""Lower bound of the speed of sound in m/s, with which the farthest closure is chosen."""
+"""Lower bound of the speed of sound in m/s, at which the farthest closure is within the cycle."""
 CYCLES, UNTOUCHED = 3, 100
 AIR = 20.0
 """Air temperature in degC of the recordings; only losses depend on it, some per cent per 10 K."""

@@ -87,7 +87,7 @@ class EndsInverter:
         self, path: Path, data: xr.Dataset, far: tuple[Path, xr.Dataset | ConfigError] | None,
         size: int, check: Callable[[], None],
     ) -> Iterator[tuple[int, EndsContacts]]:  # fmt: skip
-        """Yield the number of each group of cycles of a recording, and its contacts.
+        """Yield the index of each group of cycles of a recording, and the contacts found in it.
 
         Parameters
         ----------

@@ -61,7 +61,7 @@ class Contact:
 def contact_arrays(
     tables: PressTables, contacts: Sequence[Contact], most: int
 ) -> tuple[Array, Array, Array]:
-    """Return places, depths and diameters of contacts in m, each (1, most), padded with depth 0.
+    """Return places, depths and diameters of contacts in m, each (1, most).
 
     Raises
     ------

@@ -253,7 +253,7 @@ def echo_of(
 
 
 def _press(parts: Parts, depth: jax.Array, diameter: jax.Array) -> Press:
-    """Return the rows and weights of contacts in the tables, of one tool or between two."""
+    """Return the table rows and interpolation weights of contacts, over depth and diameter."""
     n_tools = parts.depths.shape[0]
     if n_tools == 1:
         row, weight = _rows(parts, jnp.zeros(depth.shape, jnp.int32), depth)

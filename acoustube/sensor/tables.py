@@ -102,8 +102,8 @@ def press_tables(
     diameters = np.array([tool.diameter for tool in tools])
     if len({tool.shape for tool in tools}) > 1 or np.any(np.diff(diameters) <= 0):
         raise ConfigError(
-            f"the library holds {', '.join(tool.name for tool in tools)}; give one whose tools "
-            "have one shape and different diameters"
+            f"the library holds {', '.join(tool.name for tool in tools)}; give one whose "
+            "indenters have one shape and different diameters"
         )
     number, kept = _different(tools)
     plane = int(number[0, 0, 0, 0])

@@ -179,7 +179,7 @@ class TubeSensor:
 
     @property
     def errors(self) -> list[Array]:
-        """Estimated relative rms errors of the reflection between the library's depths, by tool."""
+        """Estimated relative rms errors of the reflection interpolated over depth, by indenter."""
         tools = sorted(self.tool_library.tools, key=lambda tool: tool.diameter)
         return [tool.interpolation_error + self.tolerance for tool in tools]
 

@@ -55,11 +55,11 @@ class Layout:
     spacing : float
         Distance between neighbouring tubes, across them, at the middle of the sleeve, in m.
     skin_area : float
-        Of the sleeve in m2.
+        Area of the skin under the sleeve in m2.
     within : float
         Half width of the skin covered by a tube in m.
     coverage : float
-        Fraction of the skin within that distance of a tube's detection range.
+        Fraction of the skin nearer than `within` to a part of a tube in its detection range.
     blind : float
         Fraction of the skin where the nearest tube is in its dead zone or beyond its reach.
     deviation : float
@@ -178,7 +178,7 @@ def design(
     Parameters
     ----------
     length : float
-        Of the sleeve along the arm in m.
+        Length of the sleeve along the arm in m.
     girths : tuple of float
         Circumference of the arm at the end near the sensors, and at the other, in m.
     loops, pitch : float
@@ -186,13 +186,13 @@ def design(
     n_tubes : int
         Number of tubes, wound side by side at even angles.
     phase : float
-        Of the first tube in rad.
+        Angle at which the first tube starts, in rad.
     hand : str
         ``right`` or ``left``.
     lead : float
         Length of tube before the helix in m.
     outer_diameter : float
-        Of the tube in m; its centre line lies half of it over the skin.
+        Outer diameter of the tube in m; the centre line is half a diameter above the skin.
     reach : float
         Largest distance at which a press is detected, in m.
 

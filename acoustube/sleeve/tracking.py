@@ -46,7 +46,7 @@ class TrackingSettings:
         Number of cycles with a candidate after which a contact is confirmed.
     misses : int
         Number of consecutive cycles without a candidate after which a contact is deleted; a
-        tentative one is deleted after its first two.
+        tentative one is deleted after two.
 
     Raises
     ------

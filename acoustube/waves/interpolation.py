@@ -41,8 +41,8 @@ DEGREE = 5
 on a bore of 9 mm and from 0.5 to 8 kHz above a cut-on (rms of all coefficients), is 0.002 to 0.004;
 with degree 4 it is 0.004 to 0.010, and without the polynomial 0.05 to 0.14."""
 FEWEST = 10
-"""Smallest number of frequencies above a cut-on for the fit; a step closer to the end of the band
-is not subtracted, since it affects few frequencies."""
+"""Least number of frequencies between a cut-on and the end of the band for the fit. With fewer, the
+onset at the cut-on is not subtracted, since it affects few frequencies."""
 
 
 class Onsets(NamedTuple):

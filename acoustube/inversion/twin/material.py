@@ -18,8 +18,8 @@ PRIOR_MODULUS = 0.5
 """Prior standard deviation of the logarithm of the wall's modulus over the library's: ten Shore A,
 and as much again because of the scatter of conversions from hardness to modulus."""
 PRIOR_ZERO, PRIOR_COMPLIANCE = 3e-4, 5e-4
-"""Prior standard deviations of the origin of the stated depths in m, and of the ground's compliance
-in m/N; that of tissue is 1e-4 to 5e-4."""
+"""Prior standard deviations of the zero of the stated depths in m, and of the compliance in m/N of
+what the tube lies on; that of soft tissue is 1e-4 to 5e-4."""
 FORCE_SCATTERS = np.geomspace(0.002, 0.5, 24)
 DEPTH_SCATTERS = np.geomspace(2e-6, 1e-3, 24)
 """Relative scatters of the stated forces, and scatters in m of the stated depths, over which the

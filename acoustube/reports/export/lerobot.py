@@ -197,7 +197,7 @@ class _Stats:
 
 
 def _features(n: int) -> dict[str, Any]:
-    """Return the description of the columns."""
+    """Return the type, shape and names of each column of the dataset."""
     found: dict[str, Any] = {
         "observation.signal": {"dtype": "float32", "shape": [n], "names": None},
         "observation.temperature": {"dtype": "float32", "shape": [1], "names": None},

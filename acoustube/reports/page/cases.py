@@ -249,7 +249,7 @@ def _spectrum(matrix: xr.Dataset, settings: SISettings) -> Spectrum:
 
 
 def _shared(configs: Sequence[Config]) -> tuple[dict[str, Any], list[tuple[str, str]]]:
-    """Return the settings that are the same everywhere, and the names of the others."""
+    """Return the settings that are equal in all cases, and the names of those that vary."""
     every = [dataclasses.asdict(config) for config in configs]
     shared: dict[str, Any] = {}
     varying = []

@@ -44,7 +44,7 @@ LOCATED_ERROR = 0.02
 """Error in m up to which a closure counts as located."""
 DISTANCES = np.arange(0.05, 0.60, 0.01)
 SEARCH_START = 0.10
-"""Smallest distance in m of the search for a closure; the send pulse itself is nearer."""
+"""Least distance in m at which a closure is searched for; nearer, the send pulse would be found."""
 NEARER, GAPS = 0.6, (0.2, 0.3, 0.4, 0.5)
 """Distance of the nearer of two presses, and distances from it to the other, in m."""
 PRESSED, FEW_PRESSED = (7.5e-3, 8e-3), (6e-3, 8e-3)

@@ -275,7 +275,7 @@ def localisation_rows(tables: Tables) -> list[Row]:
 def force_rows(
     table: xr.Dataset, estimates: xr.Dataset, model: Model, inversion: xr.Dataset | None
 ) -> list[Row]:
-    """Return the row of Table II for the flat table."""
+    """Return the row of the paper's Table II for the tube on a flat table."""
     found = estimation.errors(table["force"].values, estimates["force"].values)
     other = None if inversion is None else ranged.force_errors(inversion)
     constant = float(np.median(table["force"].values))

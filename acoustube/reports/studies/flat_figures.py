@@ -43,16 +43,16 @@ def draw_distances(axes: Axes, table: xr.Dataset) -> None:
 
 
 def over_map(table: xr.Dataset, values: NDArray[Any]) -> tuple[Array, Array, Array]:
-    """Return means of the finite values, and their bins of distance and depth.
+    """Return the mean of the finite values by distance and depth.
 
     Returns
     -------
     places : array of shape (n + 1,)
-        Edges in m.
+        Edges of the bins of distance in m.
     depths : array of shape (m,)
         Depths in m.
     mean : array of shape (m, n)
-        nan where there is none.
+        nan in bins without a finite value.
     """
     edges, column = estimation.bins(table["true_distance"].values, BIN)
     depths, row = np.unique(table["depth"].values.round(9), return_inverse=True)

@@ -34,7 +34,7 @@ from acoustube.runs.config import Config, configured
 from acoustube.waves.scattering import ModalScattering
 
 STATES = np.array([1, 3, 5]) / 6
-"""Fractions of the range of a level at which the drifting force is sampled."""
+"""Forces at which the drift within a level is sampled, as fractions of the level's range."""
 CYCLES = (14, 13, 13)
 """Number of cycles at each of these forces: 2 s in all."""
 SHIFT = -0.10

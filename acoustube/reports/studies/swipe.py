@@ -37,7 +37,7 @@ PAIR_TOLERANCE, PAIR_CYCLES = 0.10, 6
 number of cycles for which a pair is tracked."""
 CANDIDATE_RATIO = 0.06
 """Least height of a candidate echo, as a fraction of the highest: with 0.12 a press behind another
-is missed, with 0.03 a hard one has twice as many ghost echoes."""
+is missed, with 0.03 a hard press has twice as many false echoes."""
 TRACKING = TrackingSettings(deviation=0.015)
 """Settings of the tracker; the standard deviation includes delays of echoes by trapped sound."""
 

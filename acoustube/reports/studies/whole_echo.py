@@ -21,7 +21,7 @@ from acoustube.runs.opening import open_dataset
 from acoustube.runs.training import DISPLAY_UNITS
 
 CYCLE_STRIDE = 10
-"""Stride of the cycles used; those of a press differ only by noise."""
+"""Only every tenth cycle is used: the cycles of a press differ only by noise."""
 
 
 def rows(

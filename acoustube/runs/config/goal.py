@@ -121,7 +121,7 @@ class Goal(Section):
 
     @property
     def asked(self) -> tuple[float, float, float, float]:
-        """Reach, distance between two presses, deviation of place and nearest press, all in m."""
+        """Reach, distance of two presses, standard deviation of place, and nearest press, in m."""
         return self.reach_m, self.separation, self.place_deviation, self.nearest_m
 
     def samples_at(self, rate: float) -> int:

@@ -34,7 +34,7 @@ class Numbers:
 
     @property
     def allowed(self) -> str:
-        """The values in words."""
+        """The allowed values, in words."""
         kind = "a number or [lowest, highest]" if self.span else "one or more numbers"
         return f"{kind} within {self.each.allowed}"
 

@@ -67,13 +67,13 @@ def modulus_of(design: DesignGoal, shore: float) -> float:
 def known_of(
     design: DesignGoal, tubes: Sequence[PressedTube], shore: float, contacts: Contacts | None = None
 ) -> Information:
-    """Return the Fisher information of a goal's contacts on a tube of a hardness.
+    """Return the Fisher information on a goal's contacts, for tubes of a hardness.
 
     Parameters
     ----------
     design : DesignGoal
     tubes : sequence of PressedTube
-        Presses by each tool: on a table at :data:`REFERENCE_SHORE_A`, else at the hardness.
+        Presses by each indenter, computed at :data:`REFERENCE_SHORE_A` on a table, else at `shore`.
     shore : float
         Shore A hardness.
     contacts : Contacts, optional

@@ -133,7 +133,7 @@ def tool_plans(
 def _tool(path: LoadPath, tolerance: float, band: tuple[float, float] | None) -> ToolPlan:
     config, settings = path.groups[0].cases[0].config, path.settings
     if settings.surface is not None:
-        raise ConfigError("a library is of round tubes; leave out the surface")
+        raise ConfigError("libraries are computed for round tubes only; leave out surface")
     if len(path.depths) < FEWEST_DEPTHS:
         raise ConfigError(
             f"a library needs {FEWEST_DEPTHS} or more depths of a tool; give a range such as "

@@ -122,7 +122,7 @@ def run_dataset(
     Raises
     ------
     ConfigError
-        If a folder is not a sweep's, or `out` holds something else.
+        If a folder is not that of a sweep, or `out` contains anything but this dataset.
     SimulationError
         If a case cannot be recorded.
     """

@@ -162,7 +162,7 @@ def _check_axis(name: str, values: Values | Interval, *, random: bool) -> None:
         if not -math.inf < values.low < values.high < math.inf:
             raise ConfigError(f"{name} = {values} must have low < high")
     elif not values:
-        raise ConfigError(f"{name} has no values and so the plan no cases; give one or more")
+        raise ConfigError(f"{name} has no values, so that the plan has no cases; give one or more")
     elif not all(isinstance(value, int | float | str) for value in values):
         raise ConfigError(f"{name} = {list(values)} must be numbers or words")
     elif len(set(values)) < len(values):
@@ -264,7 +264,9 @@ def _checked_section(path: Any, sweep: Any) -> dict[str, Any]:
         raise ConfigError(f"{path}: sweep must be a section, written [sweep] or [sweep.over]")
     for name, value in sweep.items():
         if name not in known:
-            raise ConfigError(f"{path}: [sweep] {name} is not known; it has {', '.join(known)}")
+            raise ConfigError(
+                f"{path}: [sweep] {name} is not a setting; use one of {', '.join(known)}"
+            )
         if name == "over" and not isinstance(value, dict):
             raise ConfigError(f"{path}: over must be a section, written [sweep.over]")
         if name == "case" and not (

@@ -165,9 +165,9 @@ def write(
     ----------
     folder : Path
     data : xarray.Dataset
-        Along ``press``.
+        The results, with the dimension ``press``.
     matrix : xarray.Dataset or None
-        The scattering that they share.
+        The scattering matrix that the cases share.
     walls : xarray.Dataset or None
         The walls of the tube that they share, from :func:`acoustube.runs.walls.walls`.
 

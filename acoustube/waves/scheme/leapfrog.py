@@ -66,7 +66,7 @@ def initial_state(setup: Setup, pressure: ArrayLike) -> State:
 
 @jax.jit
 def _from_rest(pressure: jax.Array, scheme: Scheme) -> tuple[jax.Array, jax.Array]:
-    """Return a pressure with halo and the change that precedes a start at rest."""
+    """Return a pressure with halo, and its change over the step before a start at rest."""
     operator = scheme.operator
     field = with_halo(jnp.where(operator.inverse_volume > 0.0, pressure, 0.0))
     # Half a step backwards, so that the first step is that of a start at rest.

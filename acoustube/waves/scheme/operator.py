@@ -110,7 +110,7 @@ def assemble(cells: CutCells, air: Air, beta: float, *, dtype: DTypeLike = jnp.f
 
 @jax.jit
 def _coefficients(volume: jax.Array, faces: list[jax.Array], scales: list[ArrayLike]) -> Any:
-    """Return the inverse volume fractions and the scaled open faces, the outermost closed."""
+    """Return the inverse volume fractions, and the open face fractions times (c / h)^2."""
     x, y, z = (
         _closed_outside(face, axis) * scale
         for axis, (face, scale) in enumerate(zip(faces, scales, strict=True))

@@ -128,7 +128,7 @@ def prepare(
     Parameters
     ----------
     cells : CutCells
-        The lumen, exact fractions.
+        The lumen, with exact fractions of volume and faces.
     air : Air
         Gas in the lumen.
     probes : tuple of float
@@ -142,7 +142,7 @@ def prepare(
     absorber_thickness : float
         In m.
     time_step : float, optional
-        In s; the default is `stable_step`.
+        In s; by default just below the limit of stability (:func:`marching_step`).
     lossy_band : tuple of float, optional
         Lowest and highest frequency in Hz of the fit of the losses; by default there are no losses.
     dtype : dtype

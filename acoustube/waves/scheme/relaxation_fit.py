@@ -75,7 +75,7 @@ def half_integral(band: tuple[float, float]) -> HalfIntegral:
 
 
 def _fitted(band: tuple[float, float], n: int) -> HalfIntegral:
-    """Return the best approximation with n relaxations."""
+    """Return the best approximation of s^(-1/2) with n relaxations."""
     omega = 2 * pi * np.geomspace(*band, FIT_POINTS)
     middle = sqrt(omega[0] * omega[-1])
     wanted = (1j * omega) ** -0.5

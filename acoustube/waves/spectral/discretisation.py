@@ -67,7 +67,7 @@ class Discretisation:
         Stiffness and mass between the functions that the basis lacks,
         (n_elements, size - n_basis, size - n_basis).
     turns : tuple of ndarray
-        Coefficients of the elements' modes in the inner functions, for `low` and for `high`.
+        Coefficients of the elements' modes in the interior functions, for `low` and for `high`.
     layout : Layout
         Order of the unknowns.
     rule : AxialRule
@@ -225,7 +225,7 @@ def discretise(
 def _in_inner_modes(
     elements: Elements, layout: Layout
 ) -> tuple[Chain, Chain, tuple[Array, Array], tuple[Array, Array], tuple[Array, Array]]:
-    """Return the matrices of :class:`Discretisation` with the elements' modes as inner unknowns."""
+    """Return the matrices of :class:`Discretisation` with modes as interior unknowns."""
     n, more = layout.n_basis, layout.n_higher
     chains, turns = [], []
     for start, stop, width in ((0, n, layout.n), (n, n + more, layout.n_all - layout.n)):

@@ -28,16 +28,18 @@ SURPLUS = 1e30
 
 
 class Chain(NamedTuple):
-    """Matrices of a chain of elements, with the elements' modes as inner unknowns.
+    """Matrices of a chain of elements, whose interior unknowns are amplitudes of their eigenmodes.
+
+    The eigenmodes of an element vanish at its ends and have unit mass (Craig and Bampton).
 
     Attributes
     ----------
     square : ndarray
-        Squared wavenumbers of the elements' modes in 1/m2, (n_elements, n_inner); their M is one.
+        Squared wavenumbers of the elements' modes in 1/m2, (n_elements, n_inner).
     stiffness, mass : ndarray
         Matrices of the unknowns at the ends of the elements, (n_elements, 2 n, 2 n).
     pull, drag : ndarray
-        Stiffness and mass between modes and ends, (n_elements, n_inner, 2 n).
+        Stiffness and mass that couple modes and ends, (n_elements, n_inner, 2 n).
     """
 
     square: Array
@@ -70,7 +72,10 @@ class Chain(NamedTuple):
 
 
 class Factors(NamedTuple):
-    """Factors of K - s M: elements condensed to their ends, and nodes eliminated from the last.
+    """Block factors of K - s M, with stiffness K, mass M and squared wavenumber s.
+
+    The modes inside the elements are eliminated first (static condensation), then the nodes between
+    elements, the last one first.
 
     Attributes
     ----------
@@ -82,7 +87,8 @@ class Factors(NamedTuple):
     nodes : ndarray
         Inverses of the nodes' blocks, (n_elements + 1, n, n).
     onwards : ndarray
-        Negative response of each node except the first to the one before it, (n_elements, n, n).
+        Minus the value at each node, but the first, per unit value at the node before it,
+        (n_elements, n, n).
     """
 
     chain: Chain

@@ -389,7 +389,7 @@ def lossy_ends(
 
 
 def _section_widths(section: Section, thickness: float) -> tuple[Array, Array]:
-    """Return the gap widths in m and the roundness at the contour of an end, (n_points,) each."""
+    """Return the gap widths in m and curvatures times half widths along a contour, (n_points,)."""
     contours, halved = section.contours, section.basis.odd is not None
     measured = _narrow(section.boxes, thickness)
     width = gap_widths(contours, section.extent, halved, measured)

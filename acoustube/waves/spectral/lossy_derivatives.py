@@ -36,7 +36,9 @@ from acoustube.waves.spectral.sound import Air
 
 
 class WallChanges(NamedTuple):
-    """Derivatives of the wall's integrals by a parameter, as sums over functions of position.
+    """Derivatives of the boundary-layer terms by a shape parameter.
+
+    Each is a sum of products of a function of frequency and a matrix.
 
     Attributes
     ----------

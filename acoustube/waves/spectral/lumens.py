@@ -167,7 +167,7 @@ class Lines:
         place: Array,
         along: Array,
     ) -> tuple[Array, Array]:
-        """Make the lines straight between the rings `rim` and `end`, where the tube is round."""
+        """Make the lines straight between the round rings `rim` and `end`."""
         start, stop = self.rings[rim], self.rings[end]
         slope = (stop[:, :2] - start[:, :2]) / (stop[:, 2:] - start[:, 2:])
         share = (height - start[:, 2]) / (stop[:, 2] - start[:, 2])

@@ -24,7 +24,7 @@ relative error of a derivative by rounding is then 1e-10, by differences 1e-7 in
 SLOPE_STEP = 1e-5
 """Distance along the tube for the z derivative of a motion, relative to the radius."""
 SAMPLES = 200
-"""Number of sections in which the motion is evaluated to find its largest speed."""
+"""Number of sections in which the wall's derivative by a parameter is evaluated for its maximum."""
 ALIKE = 1e-5
 """Largest difference between speeds that count as equal, relative to the largest speed."""
 
@@ -124,8 +124,8 @@ def motion_of(wall: Wall, velocity: Velocity) -> Motion:
         widening = float(outwards.mean())
         if np.abs(outwards - widening).max() > same:
             raise ConfigError(
-                "the motion of the wall must keep round ends round about the axis; give a wall "
-                "with circular=False, or a motion of the lumen alone"
+                "the wall's displacement must keep its round ends round; give a wall with "
+                "circular=False, or a displacement that does not change the ends"
             )
     less, more = (
         replace(

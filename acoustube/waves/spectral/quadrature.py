@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from acoustube.waves.spectral.polynomials import Array, Index, gauss
 
 LEAST_POINTS = 3
-"""Least number of Gauss points between two knots, for a cubic wall and its slopes."""
+"""Least number of Gauss points between two knots, enough for a cubic spline and its slope."""
 SPARE_POINTS = 3
 """Number of Gauss points between two knots in addition to those for the polynomials."""
 MOST_PIECES = 24

@@ -27,14 +27,14 @@ MAX_MATRICES = 32
 
 
 class Reduced(NamedTuple):
-    """Galerkin projection for one parity along z.
+    """Galerkin projection onto fields that are even or odd in z.
 
     Attributes
     ----------
     fields : ndarray
         Orthonormal fields of the basis, (n_elements, n_basis, n_fields).
     corrections : ndarray
-        Orthonormal fields in the other functions of the enriched basis,
+        Orthonormal fields in those functions of the enriched basis that the basis lacks,
         (n_elements, size - n_basis, n_corrections).
     stiffness, mass : ndarray
         Projected matrices, (r, r), r = n_fields + n_corrections.
@@ -95,7 +95,7 @@ def corrected(system: Discretisation, before: Reduced, corrections: Array) -> Re
 
 
 def ritz(stiffness: Array, mass: Array) -> tuple[Array, Array]:
-    """Return the squared wavenumbers of a projection's modes, and the modes with unit M.
+    """Return the squared wavenumbers of a projection's modes, and the modes of unit mass.
 
     Parameters
     ----------
