@@ -127,8 +127,8 @@ def axis_of(path: Any, name: str, values: Any) -> Values | Interval:
         return parsed(name, [values])
     if isinstance(values, dict):
         raise ConfigError(
-            f"{path}: [sweep.over] {name} is a table; give a list such as [1, 2], or a range such as "
-            '"1:8:0.5"'
+            f"{path}: [sweep.over] {name} is a table; give a list such as [1, 2], or a range "
+            'such as "1:8:0.5"'
         )
     found: list[Any] = []
     for value in values if isinstance(values, list) else [values]:
