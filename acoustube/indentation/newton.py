@@ -105,8 +105,8 @@ def minimise(
     -----
     Where the tangent is indefinite, the step is that of a positive definite matrix near it,
     corrected by :mod:`acoustube.indentation.negative_curvature`; from a saddle of the energy it
-    follows the direction of least curvature. Convergence requires an unmodified, positive definite
-    tangent: the result is a stable equilibrium, not a saddle. The factor of a tangent is used again
+    follows the direction of least curvature. Convergence requires that the last factorised tangent
+    is unmodified and positive definite: the result is no saddle. The factor of a tangent is used again
     while it lowers the residual enough (the chord method, :func:`_worth`); after such steps the
     residual must fall to `REUSED_TOLERANCE` of the tolerance, as it would after a step of the
     state's own tangent.

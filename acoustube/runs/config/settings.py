@@ -102,7 +102,7 @@ class IndentationSettings(Section):
         "held",
         Choice(
             ("held", "free"),
-            "support of the tube: bottom line fixed, or resting on a floor with free ends",
+            "support of the tube: bottom line held on the floor, or resting on it with free ends",
         ),
     )
     layer_mm: float | None = setting(
