@@ -106,9 +106,9 @@ def minimise(
     Where the tangent is indefinite, the step is that of a positive definite matrix near it,
     corrected by :mod:`acoustube.indentation.negative_curvature`; from a saddle of the energy it
     follows the direction of least curvature. Convergence requires that the last factorised tangent
-    is unmodified and positive definite: the result is no saddle. The factor of a tangent is used again
-    while it lowers the residual enough (the chord method, :func:`_worth`); after such steps the
-    residual must fall to `REUSED_TOLERANCE` of the tolerance, as it would after a step of the
+    is unmodified and positive definite: the result is no saddle. The factor of a tangent is used
+    again while it lowers the residual enough (the chord method, :func:`_worth`); after such steps
+    the residual must fall to `REUSED_TOLERANCE` of the tolerance, as it would after a step of the
     state's own tangent.
     """
     state = start if isinstance(start, State) else evaluate(model, start, bodies)
