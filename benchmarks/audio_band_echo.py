@@ -1,20 +1,20 @@
-"""Does the echo at 10 kHz still rise steadily with depth in a tube that can be built?
+"""Does the echo at 10 kHz still increase with depth in a tube that can be built?
 
-The finding (docs/findings.md) is of a rigid wall, a Gaussian pulse and an exact tube. Here a 25 mm
-rod presses the sleeve paper's tube, 50 cm from the face, and two whose bores are 5 % narrower and
-wider; the spectral solver scatters each lumen with losses from 5 to 60 kHz. The end of the tube and
-the face absorb. Added one by one:
+The finding (docs/findings.md) holds for a rigid wall, a Gaussian pulse and an exact tube. Here a
+25 mm rod presses the sleeve paper's tube, 50 cm from the face, and two with 5 % narrower and wider
+bores; the spectral solver computes the scattering of each lumen with losses from 5 to 60 kHz. The
+end of the tube and the face absorb. Added one by one:
 
-* a wall that yields: along the straight tube its wavenumber
-  (``acoustube.waves.modes.yielding_wall``); in the press the change of the reflection in a horn
-  equation with the same compliance of the wall per perimeter, which is that of the round bore. The
-  rod and the floor would hold part of the wall: an upper limit;
+* a wall that yields: along the straight tube by its wavenumber
+  (``acoustube.waves.modes.yielding_wall``); in the press by the change of the reflection in a horn
+  equation with the wall compliance per perimeter of the round bore. This is an upper limit, as rod
+  and floor hold part of the wall;
 * a loudspeaker: a diaphragm on its suspension, which sends into the endless tube the pressure of
   its velocity, a second-order band-pass. The resonance, 1050 Hz, is that of a dynamic speaker of
   13 mm (data sheet, CUI CDMG13008L-02, 2006), which does not state Q: 1.21 is that of a tweeter of
   19 mm whose resonance is 973 Hz (data sheet, Vifa XT19NC30-04, 2015). The microphone is flat;
-* hands: bore exact or 5 % off, place +-5 mm, depth +-0.1 mm. Forces are read from
-  the echo's height by the curve of the exact tube.
+* errors of handling: bore exact or 5 % off, position +-5 mm, depth +-0.1 mm. Forces are estimated
+  from the echo's height by the curve of the exact tube.
 
 Usage: python benchmarks/audio_band_echo.py [FIGURE.png]; some minutes, which the cache keeps.
 """
@@ -42,7 +42,7 @@ from acoustube.waves.modes.yielding_wall import YieldingWall, wall_compliance, y
 
 BORE, PLACE, BAND = 7.9, 0.5, (5e3, 60e3)
 BORES = {0.95: "1:7.5:0.5", 1.0: "1:8:0.5", 1.05: "1:8:0.5"}
-"""Bores in the exact one, and the depths in mm to which they are pressed."""
+"""Bores relative to the exact one, and the depths in mm to which they are pressed."""
 CARRIERS, SCAN = (10e3, 20e3, 42e3), np.arange(7e3, 46e3, 1e3)
 SPEAKER = Rangefinder(resonance=1050.0, quality_factor=1.21)
 RATE, DURATION = 1e6, 8e-3
@@ -52,7 +52,7 @@ AIR, WALL = air_at(20.0), YieldingWall()
 
 
 class Pressed(NamedTuple):
-    """A tube under the rod: depth (n,), force (n,), frequency (n_f,), reflections (n, n_f)."""
+    """A pressed tube: depth (n,), force (n,), frequency (n_f,), reflections (n, n_f)."""
 
     radius: float
     depth: np.ndarray
@@ -64,7 +64,7 @@ class Pressed(NamedTuple):
 
 @cache
 def pressed_tube(scale):
-    """Return the plane wave's reflections by a tube of a bore, referred to the press's middle."""
+    """Return the plane wave's reflections by a tube with a scaled bore, at the press's middle."""
     over = {"indenter_mm": ["25"], "inner_diameter_mm": [f"{scale * BORE:g}"], "losses": ["on"],
             "depth_mm": [BORES[scale]]}  # fmt: skip
     (tool,) = tool_plans(over, 0.005)
@@ -81,7 +81,7 @@ def pressed_tube(scale):
         z = np.linspace(-part.position, part.position, SLICES + 1)
         middle, radius = (z[1:] + z[:-1]) / 2, plan.settings.radius
         area = measure(path.at([depth]), 0, middle).area
-        modelled = 0.98 * np.abs(middle[area > 0]).max()  # the rim of the model is cut in part
+        modelled = 0.98 * np.abs(middle[area > 0]).max()  # the rim of the model is partly cut off
         area[np.abs(middle) > modelled] = np.pi * radius**2
         horns = [horn(f[::EVERY], area, z[1] - z[0], radius, yields) for yields in (0, 1)]
         depths.append(depth)
@@ -102,7 +102,7 @@ def pressed_tube(scale):
 def horn(frequency, area, step, radius, yields):
     """Return the reflection (n_f,) of sections of an area (n,) by slices of the horn equation.
 
-    Without losses in the air, which both reflections of a difference would have.
+    Losses in the air are left out, as they would be equal in both reflections of a difference.
     """
     omega, full = 2 * np.pi * frequency, np.pi * radius**2
     k = omega / AIR.sound_speed
@@ -128,7 +128,7 @@ def horn(frequency, area, step, radius, yields):
 
 
 def heights(tube, carrier, *, yields, speaker, place=PLACE):
-    """Return height of the echo over the send pulse's (n,) and error of distance in m (n,)."""
+    """Return the echo's height over the send pulse's (n,) and the error of distance in m (n,)."""
     pulse, n = Pulse(frequency=carrier), int(RATE * DURATION)
     f = np.fft.rfftfreq(n, 1 / RATE)
     inside = (f >= BAND[0]) & (f <= BAND[1])
@@ -158,7 +158,7 @@ CASES = {
 
 
 def rising(height):
-    """Return whether heights (n_depths,) rise with every step of depth."""
+    """Return whether heights (n_depths,) increase with every step of depth."""
     return bool(np.all(np.diff(height) > 0))
 
 
@@ -216,7 +216,7 @@ def main():
 
 
 def draw(path):
-    """Draw heights over depth for all bores, and the least rise in 1 mm over the carrier."""
+    """Draw heights over depth for all bores, and the least increase per 1 mm over the carrier."""
     import matplotlib.pyplot as plt
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")

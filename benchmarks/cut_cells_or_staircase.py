@@ -1,8 +1,8 @@
-"""How long does it take to know R00 of a narrowed tube to 1 %, with cut cells and with whole ones?
+"""How long does R00 of a narrowed tube to 1 % take, with cut cells and with whole cells?
 
 Lumen E of `tests/data/scattering.csv`: narrowed all round by 40 % over 16 mm. Each row: walls,
 cells across the bore, largest error of the complex R00 at the reference's frequencies, seconds of
-the run (one mode, one port, without compiling). Whole cells are those more than half open. Some
+the run (one mode, one port, without compilation). Whole cells are those more than half open. Some
 minutes: ``python benchmarks/cut_cells_or_staircase.py``.
 """
 
@@ -28,7 +28,7 @@ RESOLUTIONS = (8, 12, 16, 24, 32, 48)
 
 
 def reflected(resolution: int, walls: Callable[[CutCells], CutCells]) -> tuple[np.ndarray, float]:
-    """Return R00 at the reference's frequencies, and the seconds of the run with the lumen."""
+    """Return R00 at the reference's frequencies, and the time in s of the run with the lumen."""
     spacing = grid_spacing(2 * RADIUS, resolution)
     frequencies = rows()["f_hz"].astype(float)
     settings = {"duration": 6e-3, "probes": PROBES, "source_end": "absorbing"}

@@ -1,10 +1,10 @@
-"""Errors that a design expects, beside those of inversions of simulated recordings.
+"""Errors predicted by a design, against those of inversions of simulated recordings.
 
-For a sensor of a design's folder: contacts are drawn by a seed of its own, their scattering is
-computed at depths off the library's, with losses in the presses, and the rangefinder records it
-with noise, clutter (learned from 200 untouched cycles) and air 0.3 K off. The inversion's errors
-are then divided by the standard deviations that the design predicts for these contacts, on the tube
-that it was designed with (coarse mesh, few depths).
+For a sensor of a design's folder: random contacts are drawn with a separate seed, their scattering
+is computed at depths between the library's, with losses in the presses, and the rangefinder records
+it with noise, clutter (learned from 200 untouched cycles) and air 0.3 K off. The inversion's errors
+are then divided by the standard deviations that the design predicts for these contacts, with the
+tube as computed in the design (coarse mesh, few depths).
 
 Usage: acoustube library --config FOLDER/NAME.config.toml --depth 0.5:7:0.25 --out library
        python benchmarks/design_predictions.py FOLDER NAME library out.csv --count 16
@@ -62,7 +62,7 @@ def matrix_at(plan, path, depth, band, mesh):
 
 
 def arguments():
-    """Return the words of the command line."""
+    """Return the arguments of the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="of the design")
     parser.add_argument("name", help="of the sensor")
@@ -94,7 +94,7 @@ def prepared(given):
 
 
 def own_library(plan, carrier, modulus):
-    """Return the library of the design's own presses, about a carrier in Hz, of another modulus."""
+    """Return the library of the design's presses, about a carrier in Hz, with another modulus."""
     path = DepthPath(presses.press_to(plan.settings, plan.pressed))
     found = [(d, scattering_at(plan, d, pressed_part(path.at([d])))[0]) for d in plan.first]
     found = [(d, one) for d, one in found if not isinstance(one, str)]
@@ -116,7 +116,7 @@ def contacts(design, library, tubes, given):
     rng, goal, tool = np.random.default_rng(given.seed), design.goal, library.tools[0]
     places = rng.uniform(goal.nearest_m, goal.reach_m - 0.1, given.count)
     low = max(goal.forces_n[0], float(tool.force[0]))
-    # Within the design's own presses, which are on another mesh.
+    # Within the range of the design's presses, which are on another mesh.
     deepest = min(tool.depth[-1], 0.99 * tubes[0].depth[-1])
     high = min(goal.forces_n[1], float(np.interp(deepest, tool.depth, tool.force)))
     forces = low * (high / low) ** rng.random(given.count)
@@ -142,7 +142,7 @@ def main():
     found = predict(known_of(design, tubes, shore, drawn), electronics_of(device, 1, average))
     free = record([], device, n_cycles=200, seed=11, temperature=temperature, **tube)
     inverter = inversion.RecordingInverter(library, sensor, [(Path("free"), free)], 1)
-    # All that the rangefinder receives, beyond the library's own band.
+    # All that the rangefinder receives, also outside the library's band.
     cycles = min(device.drive.cycles, BURST_CYCLES)
     band = sound.band_of(Pulse(frequency=device.resonance, cycles=round(cycles)))
     rows = []
@@ -180,7 +180,7 @@ def known_slope(design, tubes, shore, drawn, i):
 
 
 def summary(rows):
-    """Print medians of errors over predicted deviations; 0.67 is that of a normal distribution."""
+    """Print medians of errors over predicted deviations; a normal distribution has 0.67."""
     table = {name: np.array([row[name] for row in rows]) for name in COLUMNS}
     good = (table["found"] == 1) & (table["detected"] > 0.9)
     print(f"{len(rows)} contacts, {int((table['found'] == 1).sum())} found; expected "

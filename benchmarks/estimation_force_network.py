@@ -1,7 +1,7 @@
-"""How long does the force network of the sleeve paper take, and is it as good as other libraries?
+"""Training time and held-out loss of the sleeve paper's force network, against other libraries.
 
 143 250 rows as in the sleeve paper's flat table: peak amplitude and estimated distance of presses,
-made by a formula with noise, and their force. Ten folds, 100 epochs, batches of 32. Beside it the
+by a formula with noise, and their force. Ten folds, 100 epochs, batches of 32. For comparison, the
 same network in PyTorch's plain loop and in scikit-learn's ``MLPRegressor``: one epoch of one fold,
 scaled up, and 20 epochs of one fold on a tenth of the rows, for the held-out loss. PyTorch is left
 out where it is not installed. The epochs of the first line can be given: ``OMP_NUM_THREADS=1 python
@@ -23,12 +23,12 @@ from acoustube.estimation.network import batches, train
 
 ROWS, FOLDS, EPOCHS, BATCH = 143_250, 10, 100, 32
 SHORT = 20
-"""Epochs of the comparison of losses."""
+"""Number of epochs for the comparison of losses."""
 SEEDS = 3
 
 
 def presses(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return amplitude and distance (row, 2), and force (row, 1): more, and surer, when near."""
+    """Return amplitude and distance (row, 2), and force (row, 1), less noisy when near."""
     rng = np.random.default_rng(seed)
     distance, depth = rng.uniform(0.2, 2.1, count), rng.uniform(1, 8, count)
     force = 0.45 * depth + 0.012 * depth**3 * rng.normal(1, 0.03, count)
@@ -77,7 +77,7 @@ def with_torch(parts: list[np.ndarray], epochs: int, seed: int) -> tuple[float, 
 
 
 def with_sklearn(parts: list[np.ndarray], epochs: int, seed: int) -> tuple[float, float]:
-    """Return the held-out loss, and seconds of processor time per epoch; its ReLU does not leak."""
+    """Return the held-out loss, and processor time in s per epoch; its ReLU has no leak."""
     x, held_x, y, held_y = parts
     model = MLPRegressor(
         hidden_layer_sizes=(64, 64), batch_size=BATCH, alpha=1e-5 * BATCH, max_iter=epochs,

@@ -1,10 +1,10 @@
-"""What do estimators tell in tubes that they have not learned from?
+"""Errors of estimators in tubes that were not in their training data.
 
-Six tubes, bores of 7.6, 7.9 and 8.2 mm and 30 and 40 Shore A, each with irregularities of its own,
-at 17, 22 and 27 °C; a 25 mm rod, seven depths, seventeen places, two cycles each. Each split holds
-out a part: every third cycle, the narrowest bore, the hardest wall, the warmest air. Errors of the
-sleeve paper's highest peak and force network, of the whole-echo networks and of boosting, up to 1.2
-m, as a table in Markdown. Sweeps and cycles are kept in the folder.
+Six tubes, bores of 7.6, 7.9 and 8.2 mm and 30 and 40 Shore A, each with its own irregularities,
+at 17, 22 and 27 °C; a 25 mm rod, seven depths, seventeen positions, two cycles each. Each split
+holds out a part: every third cycle, the narrowest bore, the hardest wall, the warmest air. Listed
+are errors of the sleeve paper's highest peak and force network, of the whole-echo networks and of
+boosting, up to 1.2 m, as a table in Markdown. Sweeps and cycles are kept in the folder.
 
     python benchmarks/estimation_new_tubes.py FOLDER
 """
@@ -33,7 +33,7 @@ ENDS = "", "_deviation", "_half_width"
 
 
 def recorded(folder):
-    """Return the cycles, and the cases that they are of."""
+    """Return the cycles, and the cases that they belong to."""
     plan, recipe = load_plan(None, OVER), Recipe(n_cycles=2)
     if not run_sweep(plan, folder / "sweep"):
         raise SystemExit("a case failed")
@@ -45,7 +45,7 @@ def recorded(folder):
 
 
 def splits(cycles):
-    """Return which cycles are held out, by what is new in them."""
+    """Return which cycles are held out, by the property that is new in them."""
     bore, modulus = cycles["inner_diameter"].values, cycles["shear_modulus"].values
     return {
         "cycles": np.arange(cycles.sizes["cycle"]) % 3 == 0,

@@ -1,11 +1,11 @@
-"""How many grid cells per second does the wave stage march, and how accurate is it?
+"""How many grid cells per second does the time-domain solver march, and how accurate is it?
 
 First the error of a pulse after 30 cm of straight tube, against the exact delayed pulse. Then, for
 a pinched tube with absorbers at both ends and two probes on three grids, without and with losses:
 cells of the grid's box, and open cells, per second in the JAX form and in compiled columns on one
-and two threads; the bytes that a step of the columns moves per cell of the box, counted from what
-each kind of cell reads and writes; and these bytes per second as a fraction of those of a triad of
-the same footprint. The largest difference of the two forms' probe pressures is printed beside.
+and two threads; the bytes that a step of the columns moves per cell of the box, counted from the
+reads and writes of each kind of cell; and these bytes per second as a fraction of those of a triad
+of the same footprint. The largest difference of the probe pressures of both forms is printed too.
 
 Each rate is the median of five warm runs. Run on an otherwise idle machine, ``python
 benchmarks/fdtd_throughput.py``. Where JAX computes on a GPU, a march runs the JAX form there, and
@@ -37,21 +37,21 @@ AIR = air_at(20.0)
 PULSE = Pulse(frequency=42e3)
 BAND = (5e3, 60e3)
 GRIDS = {"scattering": (32, True, 0.033), "fine": (32, False, 0.182), "long": (20, True, 0.355)}
-"""Cells per bore, whether half, and length in m."""
+"""Grids by name: cells per bore, whether half of the tube, and length in m."""
 GPU_GRIDS = {"large": (64, False, 0.182)}
-"""Those that run on a GPU only."""
+"""Grids that run on a GPU only."""
 NUMBERS = {"core": 5, "cut": 14, "absorber": 24}
-"""Read and written per cell and step without losses; neighbours count once."""
+"""Numbers read and written per cell and step without losses; neighbours count once."""
 PER_POLE, AT_WALL = 2, 19
-"""More with losses: per relaxation, and in cut cells."""
+"""Additional numbers with losses: per relaxation, and in cut cells."""
 DENSE, DENSE_ABSORBER, DENSE_LOSSES = 8, 8, 9
-"""The same of the JAX form, whose arrays cover the box: pressure and change, read and written, one
+"""The same for the JAX form, whose arrays cover the box: pressure and change, read and written, one
 volume and three areas; four more fields in an absorber; with losses the half-integral, its
 increment, three areas, compliance and implicit factor, and `PER_POLE`."""
 
 
 def tube(length: float, press: float = 0.0) -> trimesh.Trimesh:
-    """Return a tube whose height shrinks by a share in the middle."""
+    """Return a tube whose height decreases by a share in the middle."""
     z = np.linspace(0.0, length, 400)
     profile = [[0, 0], *[[1.0, zi] for zi in z], [0, length]]
     mesh = trimesh.creation.revolve(profile, sections=256)
@@ -97,7 +97,7 @@ def source(n_steps: int) -> np.ndarray:
 
 
 def triad(n_bytes: float, n_threads: int) -> float:
-    """Return the bytes per second of a = b + s c over arrays of a size together."""
+    """Return the bytes per second of a = b + s c over arrays of a given total size."""
     from numba import njit
 
     @njit(nogil=True, fastmath=True)
@@ -126,7 +126,7 @@ def device_copy() -> float:
 
     def run() -> None:
         copy = array
-        for _ in range(n):  # in a row, so that starting them does not count
+        for _ in range(n):  # in a row, so that the start does not count
             copy = scaled(copy)
         copy.block_until_ready()
 

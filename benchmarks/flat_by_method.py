@@ -1,18 +1,18 @@
-"""How do the flat study's echoes differ by the method of its scattering matrices?
+"""How do the echoes of the flat study depend on the method for its scattering matrices?
 
     OMP_NUM_THREADS=1 python benchmarks/flat_by_method.py [--cells 16 24] [--places 20:210:5]
 
-The flat study's presses (25 mm rod, 1 to 8 mm every 0.5 mm, tube of 2.5 m, with losses) scatter by
-the spectral solver and by the time-domain method on grids of so many cells across the bore. From
-each matrix the same cycles are recorded: the same noise, drift, clutter and temperatures, with the
-study's calibration. The labels of a cycle (place, depth, force) are those of its case and do not
-depend on the method; its features, and whether an echo is found at all, do.
+The scattering of the flat study's presses (25 mm rod, 1 to 8 mm every 0.5 mm, tube of 2.5 m, with
+losses) is computed by the spectral solver and by the time-domain solver on grids of given numbers
+of cells across the bore. From each matrix the same cycles are recorded: with the same noise, drift,
+clutter, temperatures and the study's calibration. The labels of a cycle (position, depth, force)
+are those of its case and do not depend on the method; its features and the detection of an echo do.
 
-For each depth and method: processor seconds of the matrix (a remembered one takes none); cycles
-with an echo and located cycles (within 25 cm) in per cent; among cycles with an echo by both, the
-difference from the spectral solver's of the distance in mm (median, 95 % of the absolute value) and
-of the height in per cent (median, 95 % of the absolute value); cycles whose echo only one of the
-two finds, and whose distances are 2 cm and more apart, in per cent of all.
+For each depth and method: processor time in s of the matrix (none if it is cached); cycles with an
+echo and located cycles (within 25 cm) in per cent; among cycles with an echo by both methods, the
+difference from the spectral solver in distance in mm (median, 95 % of the absolute value) and
+in height in per cent (median, 95 % of the absolute value); cycles with an echo by only one of the
+two, and with distances 2 cm and more apart, in per cent of all.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from acoustube.runs.sweep.run import cases_of
 from acoustube.signals import locate
 
 OTHER_LOBE = 0.02
-"""Difference of two distances in m from which the highest peaks are different ones."""
+"""Difference of two distances in m beyond which the highest peaks are taken as different ones."""
 
 
 def main() -> None:
@@ -71,7 +71,7 @@ def main() -> None:
 
 
 def plan_of(method: str, cells: int, places: str) -> Plan:
-    """Return the flat study's plan at some places, by one method."""
+    """Return the flat study's plan at some positions, by one method."""
     over = {
         "method": [method], "mesh": ["usual"], "resolution": [str(cells)],
         **ROD, "depth_mm": [DEPTHS], "position_cm": [places],
@@ -88,7 +88,7 @@ def scattering(path: LoadPath, group: Group, pressed: tasks.Pressed) -> StoredSc
 
 
 def features_of(group: Group, matrix: StoredScattering, n_cycles: int) -> Array:
-    """Return distance, height and true distance of cycles at all places, (3, cycle)."""
+    """Return distance, height and true distance of cycles at all positions, (3, cycle)."""
     parts = []
     for number, case in enumerate(group.cases):
         settings, tube = settings_in_si(case.config), f"{tube_name(case.config)}-0"
@@ -109,7 +109,7 @@ def features_of(group: Group, matrix: StoredScattering, n_cycles: int) -> Array:
 
 
 def row(features: Array, reference: Array) -> str:
-    """Return the numbers of one depth and method."""
+    """Return the results for one depth and method."""
     distance, height, truth = features
     there, before = np.isfinite(distance), np.isfinite(reference[0])
     located = np.abs(distance - truth) < FALSE_POSITIVE_ERROR
@@ -125,7 +125,7 @@ def row(features: Array, reference: Array) -> str:
 
 
 def shown(values: Array) -> str:
-    """Return numbers in words."""
+    """Return numbers as text."""
     return " ".join(f"{value:.2f}" for value in values)
 
 

@@ -1,14 +1,14 @@
-"""What does a press to 8 mm cost at a given error of its force, next to CalculiX?
+"""Processor time of a press to 8 mm against the error of its force, compared with CalculiX.
 
 The default tube, free on a rigid floor, under a 25 mm rod; quarter model, 60 mm long. Both codes
-get nodes from the same sweep, in meshes from coarse to fine, and one thread. CalculiX has 20-node
-elements with reduced integration, and contact of surface with surface by a penalty as stiff as
-acoustube's; from the fold on, its lumen's roof and sole are in contact as well.
+use the nodes of the same sweep, in meshes from coarse to fine, and one thread. CalculiX has 20-node
+elements with reduced integration, and surface-to-surface contact with a penalty as stiff as
+acoustube's; from the fold on, roof and sole of its lumen are in contact as well.
 
-The converged force at each depth is that to which acoustube's uniformly refined meshes tend: the
-elements through the wall, around and along grow in the same ratio, and Richardson's extrapolation
-takes the third power of their size. How sure it is, the last two meshes and CalculiX tell.
-Processor seconds are those to 7 mm, acoustube's without compilation, and set-up included.
+The converged force at each depth is the limit of acoustube's uniformly refined meshes: the
+numbers of elements through the wall, around and along grow in the same ratio, and Richardson's
+extrapolation uses the third power of their size. Its uncertainty follows from the last two meshes
+and from CalculiX. Processor times are those to 7 mm, without acoustube's compilation, with set-up.
 ``python benchmarks/indentation_against_calculix.py FILE`` adds a line of JSON for each run that
 FILE lacks, and prints the tables; a run of CalculiX is ended after ten minutes of processor time.
 """
@@ -41,30 +41,30 @@ Array = NDArray[np.float64]
 TUBE, ROD, REACH = Tube(), Indenter(), 60e-3
 DEPTHS_MM = (2.0, 4.0, 6.0, 7.0, 7.5, 8.0)
 TIMED = DEPTHS_MM.index(7.0)
-"""Number of the depth to which a run is timed."""
+"""Index of the depth to which a run is timed."""
 REFINED = (
     MeshSize(through_wall=1, around=10, along=7),
     MeshSize(through_wall=2, around=20, along=13),
     MeshSize(through_wall=3, around=30, along=20),
     MeshSize(through_wall=4, around=40, along=26),
 )
-"""Meshes refined in the same ratio in all three directions."""
+"""Meshes that are refined in the same ratio in all three directions."""
 OTHERS = (
     MeshSize(through_wall=1, around=12, along=10),
     MeshSize(through_wall=2, around=12, along=12),
     MeshSize(through_wall=2, around=24, along=18),
 )
 GRADED = (USUAL_MESH, MESH_SIZES["fine"])
-"""Default and fine mesh, by acoustube alone."""
+"""Default and fine mesh, computed by acoustube only."""
 ORDER = 3
 """Assumed order of convergence of the force; 2 and 4 differ by 0.8 of the last difference, which is
 the uncertainty stated."""
 LIMIT = 600.0
-"""Seconds of processor time after which CalculiX is ended."""
+"""Processor time in s after which CalculiX is ended."""
 BEYOND = 1.25
 """Ratio of processor time to that at 7 mm after which CalculiX is ended."""
 POLL = 0.05
-"""Seconds between looks at how far CalculiX is."""
+"""Time in s between checks of CalculiX's progress."""
 
 CORNERS = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
 EDGES = [(0, -1), (1, 0), (0, 1), (-1, 0)]
@@ -75,7 +75,7 @@ C3D20 = [
 ]
 """Local coordinates of the nodes in the order of CalculiX."""
 FACETS = 160
-"""Of the rod's quarter in CalculiX: its surface is off by at most 0.2 um."""
+"""Facets of the rod's quarter in CalculiX: its surface is off by at most 0.2 um."""
 
 
 def lines(keyword: str, rows: Iterable[Iterable[object]]) -> str:
@@ -87,12 +87,12 @@ def lines(keyword: str, rows: Iterable[Iterable[object]]) -> str:
 
 
 def brick_strip(profile: Array, first_node: int, first_element: int, name: str) -> str:
-    """Return a strip of 8-node bricks, of which face 1 of each is along the profile.
+    """Return a strip of 8-node bricks with their faces 1 along the profile.
 
     Parameters
     ----------
     profile : array of shape (2, n, 2)
-        Height y and place z in mm of the lower (or upper) surface and of the other one.
+        Height y and position z in mm of the lower (or upper) surface and of the other one.
     """
     across = np.array([-1.0, 12.0])
     n = profile.shape[1]
@@ -144,7 +144,7 @@ def deck(mesh: Mesh) -> str:
     points = 1e3 * mesh.points
     _, around, through = mesh.sweep.shape
     across = np.arange(len(elements)).reshape(-1, around, through) + 1
-    # Not the sides of the lumen: there both walls meet in the fold.
+    # Without the sides of the lumen, where both walls meet in the fold.
     faces = {
         "OUTER": (across[:, :, -1], "S4"),
         "SOLE": (across[:, : int(0.4 * around), 0], "S6"),
@@ -167,7 +167,7 @@ def deck(mesh: Mesh) -> str:
         + brick_strip(rod_profile(), n, m, "ROD")
         + brick_strip(floor_profile(), n + 4 * FACETS, m + FACETS, "FLOOR")
         + lines("ELEMENT, TYPE=SPRING1, ELSET=HOLD", [(m + FACETS + 100, bottom)])
-        # Until the contacts close, nothing else keeps the tube from falling.
+        # Until the contacts close, nothing else supports the tube.
         + "*SPRING, ELSET=HOLD\n2\n0.01\n"
         + f"*MATERIAL, NAME=SILICONE\n*HYPERELASTIC, NEO HOOKE\n{mu / 2}, {2 / bulk}\n"
         + "*MATERIAL, NAME=STEEL\n*ELASTIC\n2e5, 0.3\n"
@@ -182,13 +182,13 @@ def deck(mesh: Mesh) -> str:
         + f"*STEP, NLGEOM, INC=1000\n*STATIC\n0.05, {DEPTHS_MM[-1]}, 1e-6, 0.5\n"
         + f"*BOUNDARY\nROD, 1, 1\nROD, 3, 3\nROD, 2, 2, {-DEPTHS_MM[-1]}\n"
         + "*NODE PRINT, NSET=ROD, TOTALS=ONLY, TIME POINTS=DEPTHS\nRF\n"
-        # Fills the buffer, so that the forces are written while CalculiX runs.
+        # Fills the output buffer, so that the forces are written while CalculiX runs.
         + "*NODE PRINT, NSET=ROD, TIME POINTS=DEPTHS\nU\n*END STEP\n"
     )  # fmt: skip
 
 
 def calculix(size: MeshSize) -> dict[str, Any]:
-    """Return the record of a press with CalculiX, as far as it comes."""
+    """Return the record of a press with CalculiX, up to the depth that it reaches."""
     mesh = sweep(TUBE, REACH, size)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -215,7 +215,7 @@ def calculix(size: MeshSize) -> dict[str, Any]:
 
 
 def printed(path: Path) -> list[float]:
-    """Return the forces in N that CalculiX has printed, of the whole tube."""
+    """Return the forces in N for the whole tube that CalculiX has printed."""
     found = path.read_text() if path.exists() else ""
     rows = re.findall(r"force.*time\s+\S+\s+\S+\s+(\S+)\s+\S+\n", found)
     return [-4 * float(value) for value in rows]
@@ -231,11 +231,11 @@ def _processor_seconds(process: int) -> float:
 
 
 def acoustube(size: MeshSize) -> dict[str, Any]:
-    """Return the record of a press with acoustube, with everything compiled before."""
+    """Return the record of a press with acoustube, with everything compiled beforehand."""
     mesh, depths = sweep(TUBE, REACH, size), 1e-3 * np.array(DEPTHS_MM)
     indent(TUBE, ROD, depth=0.02e-3, support="free", mesh=mesh)
     seconds = np.nan
-    if size != REFINED[-1]:  # for the limit only
+    if size != REFINED[-1]:  # this mesh is used for the limit only
         start = process_time()
         indent(TUBE, ROD, depth=depths[: TIMED + 1], support="free", mesh=mesh)
         seconds = process_time() - start
@@ -249,7 +249,7 @@ def acoustube(size: MeshSize) -> dict[str, Any]:
 def record(
     code: str, mesh: Mesh, size: MeshSize, force: list[float], seconds: float
 ) -> dict[str, Any]:
-    """Return what a run gave: forces in N at the first depths, and processor seconds to 7 mm."""
+    """Return the results of a run: forces in N at the first depths, and processor time to 7 mm."""
     return {
         "code": code, "size": list(astuple(size)), "components": mesh.points.size,
         "force": force, "seconds": seconds,
@@ -264,9 +264,9 @@ RUNS = [
 
 
 def limit(known: list[dict[str, Any]]) -> tuple[Array, Array]:
-    """Return the forces in N to which acoustube's refined meshes tend, and their uncertainty.
+    """Return the limit of the forces in N of acoustube's refined meshes, and its uncertainty.
 
-    From the two finest meshes with `ORDER`; the uncertainty is their difference.
+    Extrapolated from the two finest meshes with `ORDER`; the uncertainty is their difference.
     """
     sizes = [list(astuple(size)) for size in REFINED]
     refined = [each for each in known if each["code"] == "acoustube" and each["size"] in sizes]

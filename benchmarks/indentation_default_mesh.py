@@ -1,8 +1,8 @@
-"""How far are force and echo of a press on each mesh from those on a fine one?
+"""Errors of force and echo of a press on each mesh, relative to those on a fine mesh.
 
 The 25 mm rod on the default tube: force at 28 depths, every 0.25 mm to 7 mm, free; plane wave's
-reflection coefficient at eight depths, held, by the spectral solver, rms over 36 to 48 kHz relative
-to its own rms. References are 3 x 28 elements with 28 (force) and 36 (echo) along the tube.
+reflection coefficient at eight depths, held, by the spectral solver: rms error over 36 to 48 kHz
+relative to its rms. References have 3 x 28 elements with 28 (force) and 36 (echo) along the tube.
 ``OMP_NUM_THREADS=1 python benchmarks/indentation_default_mesh.py`` takes some 15 minutes.
 """
 
@@ -42,7 +42,7 @@ MESHES = (
 
 
 def forces(size: MeshSize) -> tuple[NDArray[np.float64], float]:
-    """Return the forces in N, and how many processor seconds they took."""
+    """Return the forces in N, and the processor time in s."""
     start = process_time()
     press = indent(Tube(), Indenter(), depth=FORCE_DEPTHS, support="free", mesh=size)
     return press.contact_force[press.rows_at(FORCE_DEPTHS)], process_time() - start

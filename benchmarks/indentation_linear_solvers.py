@@ -1,10 +1,10 @@
-"""Which direct solver factorises the stiffness matrix of a pressed tube quickest?
+"""Which direct solver factorises the stiffness matrix of a pressed tube fastest?
 
-The default tube, held, 1 mm under a 25 mm rod: the quarter that symmetry leaves, its half, the
+The default tube, held, 1 mm under a 25 mm rod: the quarter by symmetry, the half, the
 whole, and two refinements of the quarter. The state is that of the quarter, interpolated. Each row:
 unknowns, bandwidth, entries of the lower triangle, and per solver the processor time to factorise
 and to solve (median of three, one thread) and the residual relative to the right-hand side. The
-multifrontal method keeps its order and analysis, as in a press; the others begin anew. PARDISO
+multifrontal method reuses its order and analysis, as in a press; the others start anew. PARDISO
 (pypardiso) and CHOLMOD (cvxopt) are timed where they are installed: ``python
 benchmarks/indentation_linear_solvers.py``. Some four minutes on one core.
 """
@@ -52,11 +52,14 @@ CASES = {
     "quarter, 4 x 32 x 28": (MeshSize(through_wall=4, around=32, along=28), (True, True)),
 }
 LARGEST_FOR_SUPERLU = 7.5e7
-"""Numbers in the band beyond which SuperLU, at half a minute a time, is left out."""
+"""Size of the band beyond which SuperLU, at half a minute per factorisation, is left out."""
 
 
 def in_elements(points: Array) -> Array:
-    """Return |x|, y and |z| in units in which the elements are about as long as they are wide."""
+    """Return
+
+    x|, y and |z| in units in which elements are about as long as wide.
+    """
     x, y, z = points.T
     along = np.arcsinh(np.abs(z) / REACH * np.sinh(SIZE.grading)) / SIZE.grading * SIZE.along
     wide = TUBE.wall_thickness / SIZE.through_wall
@@ -87,7 +90,7 @@ def matrix(mesh: Mesh, pressed: Indentation) -> tuple[sparse.csc_array, Analysis
 
 
 def cholmod(library: Any, lower: sparse.csc_array) -> linear_solver.Solve:
-    """Factorise by CHOLMOD, supernodal."""
+    """Factorise by CHOLMOD's supernodal method."""
     library.cholmod.options["supernodal"] = 2
     columns = np.repeat(np.arange(lower.shape[0]), np.diff(lower.indptr))
     a = library.spmatrix(lower.data, lower.indices.astype(int), columns, size=lower.shape)
@@ -103,7 +106,7 @@ def cholmod(library: Any, lower: sparse.csc_array) -> linear_solver.Solve:
 
 
 def banded(lower: sparse.csc_array) -> linear_solver.Solve:
-    """Factorise by banded Cholesky of LAPACK, as numbered: along the tube."""
+    """Factorise by banded Cholesky of LAPACK, with the numbering along the tube."""
     columns = np.repeat(np.arange(lower.shape[0]), np.diff(lower.indptr))
     band = np.zeros((bandwidth(lower) + 1, lower.shape[0]), order="F")
     band[lower.indices - columns, columns] = lower.data

@@ -1,6 +1,6 @@
-"""How long does a press take: to one depth, to many, by each indenter, on each ground?
+"""Processor time of a press: to one depth, to many, with each indenter, on each ground.
 
-Processor seconds on one thread, compilation excluded, with the force at the last depth:
+Processor time in s on one thread, without compilation, and the force at the last depth:
 ``OMP_NUM_THREADS=1 XLA_FLAGS=--xla_cpu_multi_thread_eigen=false python
 benchmarks/indentation_press_times.py [NAME ...]``, some ten minutes for all. Run at another commit,
 it compares the two.

@@ -1,11 +1,11 @@
-"""What force do rods, a punch and a sphere need, to a closed lumen, held and free?
+"""Forces of rods, a punch and a sphere up to a closed lumen, held and free.
 
 Presses the default tube to 8 mm with each, draws the force against the depth in one figure,
 ``indentation_presses.png``, and prints a table: ``python benchmarks/indentation_presses.py``. Ten
 presses of about a minute each on two cores; each is cached, so that a second run only draws.
 The sharpest turn is the largest angle between neighbouring chords from node to node along the sides
-of any section of the lumen, at any depth: a sound fold turns by 180 degrees over some five chords,
-a crumpled one back and forth by up to 150 degrees from chord to chord.
+of any section of the lumen, at any depth: a smooth fold turns by 180 degrees over some five chords,
+a creased one turns back and forth by up to 150 degrees from chord to chord.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ TOOLS = (("rod", 10), ("rod", 25), ("rod", 35), ("punch", 10), ("sphere", 20))
 DEPTHS_MM = np.arange(0.5, 8.01, 0.5)
 
 FOLD = 0.7
-"""Sine of the angle from the bottom beyond which the wall of the lumen is a side that folds."""
+"""Sine of the angle from the bottom beyond which the lumen's wall belongs to a side that folds."""
 
 
 def sharpest_turn(press: Indentation) -> float:
@@ -30,7 +30,7 @@ def sharpest_turn(press: Indentation) -> float:
     inner = np.unique(mesh.inner_faces)
     station, across = mesh.sweep.station[inner], np.abs(mesh.sweep.across[inner])
     largest = 0.0
-    # Half way along an element there are nodes at every other place only.
+    # Half way along an element there are nodes at every other position only.
     for each in np.unique(station)[::2]:
         ring = inner[(station == each) & (across > FOLD)]
         chords = np.diff(press.mesh.points[ring] + press.displacement[:, ring], axis=1)[..., :2]

@@ -1,19 +1,19 @@
-"""How many presses of random tubes by random indenters reach their depth, and is any of them wrong?
+"""How many presses of random tubes by random indenters reach their depth, and are they right?
 
 Draws the tube (bore 3 to 20 mm, wall 0.5 to 4 mm, hardness 10 to 70 Shore A), the indenter (rod,
 punch or sphere, 4 to 60 mm, half of them off the axis, half of the rods turned), the ground and the
 depth (up to 95 % of the bore), and presses a mesh of one or two layers of 12 by 10 elements:
 ``OMP_NUM_THREADS=1 python benchmarks/indentation_random_presses.py FILE``. FILE gets a line of JSON
-for each press; a second run presses those that FILE lacks, and prints what all show. ``--help``
-lists the options. A press depends on its number alone, and is given up after two minutes of
+for each press; a second run computes those that FILE lacks, and prints a summary of all. ``--help``
+lists the options. A press depends on its number only, and is ended after two minutes of
 processor time.
 
 Each press that reached its depth is checked: at every row the residual, no crossing of the lumen's
-walls, a gap and volume ratios above zero; and the work of the force against the change of the whole
-potential energy, which are equal at a fixed ground whatever the contact. Where the wall snaps from
+walls, a gap and volume ratios above zero; and the work of the force against the change of the
+potential energy, which are equal on a fixed ground for any contact. Where the wall snaps from
 one shape to another at a constant depth, energy is lost between two rows, and never gained.
-Intervals of depth in which work and energy differ are therefore pressed again at closer rows: an
-error of the cubics through the forces vanishes, and a snap remains in an interval however short.
+Intervals of depth in which work and energy differ are therefore computed again at closer rows: an
+error of the cubics through the forces vanishes, while a snap remains in any short interval.
 The closer rows are checked as well.
 """
 
@@ -42,14 +42,14 @@ from acoustube.indentation.press import press_model
 from acoustube.tube import Tube, shear_modulus_from_shore
 
 DEPTHS = 12
-"""Depths of each press, so that the work can be integrated."""
+"""Number of depths of each press, so that the work can be integrated."""
 STATES = ("reached", "stopped", "refused", "unfinished")
 LIMIT = 120
-"""Seconds of processor time after which a press is given up."""
+"""Processor time in s after which a press is ended."""
 WORK_TOLERANCE = 0.01
-"""Largest difference of work and energy: of cubics through twelve forces."""
+"""Largest relative difference of work and energy, by the error of cubics through twelve forces."""
 PARTS = 4
-"""Parts into which an interval is divided in which work and energy differ."""
+"""Number of parts into which an interval is divided if work and energy differ in it."""
 NARROWEST = 1 / 300
 """Length of an interval, in bores, below which it is not divided."""
 ROUNDS = 4
@@ -175,7 +175,7 @@ def _examined(press: Indentation, again: Callable[..., Indentation]) -> dict[str
     signal.setitimer(signal.ITIMER_PROF, LIMIT)
     try:
         found, snap = wrong(press, lambda depths: again(depth=depths))
-    except (PressError, TimeoutError) as error:  # unlike the press itself
+    except (PressError, TimeoutError) as error:  # although the press itself succeeded
         reason = str(error) or f"not within {LIMIT} s"
         return {"wrong": [f"not examined at closer rows: {reason}"], "snap": ""}
     return {"wrong": found, "snap": snap}
@@ -186,7 +186,7 @@ def _give_up(*_: object) -> None:
 
 
 def summary(records: list[dict[str, Any]]) -> str:
-    """Return what all presses show, and a line for each that is not sound."""
+    """Return a summary of all presses, and a line for each that is wrong."""
     states = [record["state"] for record in records]
     lines = [f"{states.count(state)} {state}" for state in STATES]
     lines.append(f"{sum(bool(record.get('wrong')) for record in records)} wrong")

@@ -1,11 +1,11 @@
-"""How far is the press from an independent solution, to a closed lumen, and what does it cost?
+"""Errors of the press against an independent solution, up to a closed lumen, and its cost.
 
 The default tube on a free support, 25 mm rod. First, on the default mesh, every row of the CalculiX
 solution in ``tests/data/indentation_rod25.csv``, which ends at 7 mm, and the area along the tube at
-4 mm. Then to 8 mm, on several meshes, with several distances at which the lumen's walls begin to
-feel each other, and with reduced integration: errors beside the time and the memory of a warm run.
+4 mm. Then to 8 mm, on several meshes, with several ranges of the barrier between the lumen's
+walls, and with reduced integration: errors, and time and memory of a warm run.
 ``python benchmarks/indentation_work_precision.py`` takes some fifteen minutes on two cores; with
-``rows`` for an argument only the first part, in one.
+the argument ``rows`` only the first part, in one.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ BARRIER_DISTANCES_MM = (0.04, 0.02, 0.01, 0.005)
 
 def table(name: str) -> NDArray[np.void]:
     """Return the independent solution's table of this name; its columns are named with units."""
-    # NumPy would take the names from the first line of the comment.
+    # NumPy would read the names from the first line of the comment.
     lines = (DATA / name).read_text().splitlines()
     return np.genfromtxt([s for s in lines if not s.startswith("#")], delimiter=",", names=True)
 
 
 def rows() -> None:
-    """Print how far the default mesh is from every row of the independent solution."""
+    """Print the errors of the default mesh at every row of the independent solution."""
     exact, along = table("indentation_rod25.csv"), table("indentation_rod25_area_at_4mm.csv")
     depths = 1e-3 * exact["depth_mm"]
     press = indent(Tube(), Indenter(diameter=25e-3), depth=depths, support="free")
@@ -73,7 +73,7 @@ def rows() -> None:
 
 
 def pressed(size: Mesh | MeshSize, barrier_distance_mm: float = 0.02) -> tuple[Indentation, float]:
-    """Return a press and how long it took, in s."""
+    """Return a press and its duration in s."""
     start = perf_counter()
     found = indent(
         Tube(),
@@ -87,7 +87,7 @@ def pressed(size: Mesh | MeshSize, barrier_distance_mm: float = 0.02) -> tuple[I
 
 
 def reduced() -> Reference:
-    """Return the 20-node hexahedron with 2 x 2 x 2 points for everything, as CalculiX's C3D20R."""
+    """Return the 20-node hexahedron with 2 x 2 x 2 points throughout, as CalculiX's C3D20R."""
     points, weights = gauss(2, 3)
     kind = replace(HEX20, points=points, weights=weights)
     FACE[kind] = QUAD8

@@ -1,10 +1,10 @@
-"""The network of the whole echo on the recordings of ``inversion_contacts.py``.
+"""Errors of the network of the whole echo on the recordings of ``inversion_contacts.py``.
 
-The estimator `echo` learns place, depth and force from single cycles of presses at random places,
-whose scattering is that of the spectral solver at depths of its own; rangefinder, tube, and the
-range of temperatures are those of the recordings on which it is tried, which are single presses of
-``inversion_contacts.py``: their file of scattering, seeds, places and depths. The cycles of a
-recording are averaged before it estimates.
+The estimator `echo` is trained for position, depth and force on single cycles of presses at random
+positions, with scattering by the spectral solver at other depths; rangefinder, tube, and the
+range of temperatures are those of the test recordings. These are the single presses of
+``inversion_contacts.py``, with the same file of scattering, seeds, positions and depths. The cycles
+of a recording are averaged before the estimate.
 
 Usage: python benchmarks/inversion_beside_network.py --truth FOLDER --count 500 --cycles 20
 """
@@ -25,9 +25,9 @@ from acoustube.ranging import Rangefinder
 from acoustube.reports.studies.calibration import calibrated
 
 SEED, TEST_SEED = 50, 101
-"""Random seeds of the presses that are learned, and of those of ``inversion_contacts.py``."""
+"""Random seeds of the training presses, and of those of ``inversion_contacts.py``."""
 FIRST = 100_000
-"""Number of the first recording that is learned; those that are tried begin with 0."""
+"""Number of the first recording for training; test recordings begin with 0."""
 PARTS = {
     "to 1.3 m, from 2.5 mm": (0, 1.3, 2.5e-3, 1), "to 1.3 m, under 2.5 mm": (0, 1.3, 0, 2.5e-3),
     "beyond 1.3 m": (1.3, 9, 0, 1), "all": (0, 9, 0, 1),
@@ -47,7 +47,7 @@ def labelled(truth, drawn, cycles):
 
 
 def main():
-    """Learn, estimate, and print errors by distance and depth."""
+    """Train, estimate, and print errors by distance and depth."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--truth", default="spectral", help="as of inversion_contacts.py")
     parser.add_argument("--mesh", default="usual", help="of the wall of a folder's presses")

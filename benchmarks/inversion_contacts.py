@@ -1,14 +1,14 @@
-"""Contacts found by waveform inversion in simulated recordings, beside the highest peak.
+"""Contacts found by waveform inversion in simulated recordings, against the highest peak.
 
 Recordings of the default rangefinder on the default tube under a 25 mm rod, or of a design
-(``--config``, ``--sensor``; ``--shore`` for a wall that is not as told, ``--modulus`` for the
-tolerance that is): random places and depths, air of 20 +- 0.3 degC, one tube whose clutter is
-learned from 200 untouched cycles. Their scattering is computed at depths of its own, off the
-library's, by the spectral solver, by it from a wall on another mesh, or by the time-domain method,
+(``--config``, ``--sensor``; ``--shore`` for another hardness of the wall than stated, ``--modulus``
+for the stated tolerance): random positions and depths, air of 20 +- 0.3 degC, one tube whose
+clutter is learned from 200 untouched cycles. The scattering is computed at depths between the
+library's, by the spectral solver, by it with a wall on another mesh, or by the time-domain solver,
 or read from the files of `acoustube scatter` or of ``spectral_presses.py`` whose names end in
-``_MM.nc``, MM the depth. Presses that are missed are compared with the limit of detection that the
-inversion tells. With ``--changed`` tube, tool or sensor differ from what the inversion is
-told. Every recording is a row of a CSV file; rows that are there are not computed again.
+``_MM.nc``, MM the depth. Missed presses are compared with the limit of detection that the
+inversion states. With ``--changed`` tube, tool or sensor differ from the parameters given to the
+inversion. Every recording is a row of a CSV file; existing rows are not computed again.
 
 Usage: python benchmarks/inversion_contacts.py FOLDER out.csv --count 60 --truth spectral
 """
@@ -43,7 +43,7 @@ from acoustube.waves import PlacedScatterer
 from acoustube.waves.network import at_sound_speed
 
 QUANTITIES = ("cm", "cm", 100.0), ("mm", "mm", 1e3), ("n", "N", 1.0)
-"""Place, depth and force: names in the table, units, and these in SI units."""
+"""Position, depth and force: name in the table, unit, and factor from SI units."""
 TOLD = "", "_sd", "_low68", "_high68", "_low", "_high"
 COLUMNS = (
     "truth", "number", "cycles", "presses", *(f"true_{name}" for name, _, _ in QUANTITIES),
@@ -51,30 +51,30 @@ COLUMNS = (
     "misfit", "error", "residual", "probability", "seconds", "peak_cm", "limit_mm",
 )  # fmt: skip
 NEAR = 0.05
-"""Distance in m within which a press counts as found."""
+"""Largest distance in m between an estimated and a true press that counts as found."""
 PARTS = {
     "all": (0, 1e3, 0, 100), "to 1.3 m, from 2.5 mm": (0, 130, 2.5, 100),
     "to 1.3 m, under 2.5 mm": (0, 130, 0, 2.5), "beyond 1.3 m": (130, 1e3, 0, 100),
 }  # fmt: skip
-"""Ranges of distance in cm and of depth in mm that are told apart."""
+"""Ranges of distance in cm and of depth in mm for which results are printed separately."""
 TUBE = 7
 """Seed of the tube's clutter."""
 LENGTH = 2.5
-"""Of the sleeve paper's tube, in m."""
+"""Length of the sleeve paper's tube in m."""
 FAR_TUBE = TUBE + 1
 """Random seed of the clutter that a rangefinder at the far end records."""
 SLEEVE = 0.26, (0.18, 0.266)
 """Length in m of a sleeve on a forearm, and girths at its ends."""
 PLACES, DEPTHS, FORMS = (0.3, 1.9), (1.1e-3, 7.9e-3), 24
-"""Ranges in m of places and depths, and the number of different depths."""
+"""Ranges in m of positions and depths, and the number of different depths."""
 BORE = 7.9e-3
-"""Bore in m of the sleeve paper's tube, for which the depths hold."""
+"""Bore in m of the sleeve paper's tube, to which the depths belong."""
 FIRST, APART = 0.4, (0.08, 0.6)
-"""Of several presses: range in m of the first place, and of the distances between them."""
+"""For several presses: ranges in m of the first position and of the distances between them."""
 REACH = 0.03
 """Half length in m of the part of the tube that a press deforms, where several are recorded."""
 RIGHT = 5e-3, 0.5e-3
-"""Largest errors in m of place and depth of several presses that are told rightly."""
+"""Largest errors in m of position and depth of several presses that count as estimated rightly."""
 
 
 CHANGES: dict[str, tuple[dict, dict]] = {
@@ -85,8 +85,8 @@ CHANGES: dict[str, tuple[dict, dict]] = {
     "yaw 10 deg": ({}, {"yaw_deg": ["10"]}),
     "sphere": ({}, {"shape": ["sphere"]}),
 }  # fmt: skip
-"""What is otherwise than the inversion is told: factors of the sensor's parameters, and settings of
-the press."""
+"""Deviations from the parameters given to the inversion: factors of the sensor's parameters, and
+settings of the press."""
 
 
 def designed_depths(config):
@@ -96,16 +96,16 @@ def designed_depths(config):
 
 
 class Truth:
-    """Scattering and forces of presses, as a truth's name and changed settings tell.
+    """Scattering and forces of presses, by the name of a truth and changed settings.
 
     Parameters
     ----------
     name : str
-        Of the truth.
+        Name of the truth.
     changed : dict
         Settings of the press.
     mesh : str
-        Of the wall of a folder's presses.
+        Mesh of the wall of a folder's presses.
     config : Path, optional
         Settings of the tube and the tool.
     """
@@ -160,7 +160,7 @@ class Truth:
 
 
 def cases(forms, first, count, n_presses, seed, within=PLACES, apart=APART):
-    """Yield number, places and depths in m of recordings, the depths of some forms."""
+    """Yield number, positions and depths in m of recordings, with a number of different depths."""
     rng = np.random.default_rng(seed)
     for number in range(count):
         if n_presses == 1:
@@ -174,7 +174,7 @@ def cases(forms, first, count, n_presses, seed, within=PLACES, apart=APART):
 
 
 def rows(case, how, cycles, found, seconds, peak):
-    """Return a row for each true press of a case (number, places, depths, forces)."""
+    """Return a row for each true press of a case (number, positions, depths, forces)."""
     number, *true = case
     places = true[0]
     contacts = [contact for contact, _ in found.contacts]
@@ -210,7 +210,7 @@ def rows(case, how, cycles, found, seconds, peak):
 
 
 def summary(path):
-    """Print errors, coverage, found and ghosts of the rows of a file, by kind of recording."""
+    """Print errors, coverage, detections and false detections in a file, by kind of recording."""
     with Path(path).open(newline="") as file:
         table = list(csv.DictReader(file))
     for kind in sorted({(row["truth"], row["cycles"], row["presses"]) for row in table}):
@@ -229,7 +229,7 @@ def summary(path):
 
 
 def together(rows):
-    """Print how many recordings of several presses are told rightly, by their distance."""
+    """Print how many recordings of several presses are estimated rightly, by their distance."""
     told = {}
     for row in rows:
         told.setdefault(row["number"], []).append(row)
@@ -263,7 +263,7 @@ def together(rows):
 
 
 def in_words(part):
-    """Return found, ghosts, errors and coverage of rows, in words."""
+    """Return detections, false detections, errors and coverage of rows, as text."""
     found = [row for row in part if row["found"] == "1"]
     ghosts = sum(int(row["ghosts"]) for row in {row["number"]: row for row in part}.values())
     words = [f"{len(part)} presses, found {100 * len(found) / len(part):.0f} %, {ghosts} ghosts"]
@@ -305,7 +305,7 @@ def in_words(part):
 
 
 def finished(path):
-    """Return the recordings that a file has, and begin it if there is none."""
+    """Return the recordings that a file has, and start the file if there is none."""
     if not path.is_file():
         path.write_text(",".join(COLUMNS) + "\n")
     with path.open(newline="") as file:
@@ -317,7 +317,7 @@ def finished(path):
 
 
 def arguments():
-    """Return the words of the command line."""
+    """Return the arguments of the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="of the library")
     parser.add_argument("out", type=Path)
@@ -368,7 +368,7 @@ def arguments():
 
 
 def recorded(truth, case, device, cycles, tube, sleeve=None, far=False):
-    """Return the cycles of a case (number, places, depths), from the near end or the far one."""
+    """Return the cycles of a case (number, positions, depths) from the near end or the far end."""
     number, places, depths = case
     air = 20.0 + np.random.default_rng(number).uniform(-0.3, 0.3)
     speed = air_at(air).sound_speed

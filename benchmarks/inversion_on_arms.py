@@ -1,18 +1,18 @@
-"""The inversion in place of the highest peak, on the arms of the sleeve paper's studies.
+"""Errors of the inversion, instead of the highest peak, in the sleeve paper's studies on arms.
 
 The presses of `acoustube reproduce mannequin human`, from its folder, on the same sleeve: those on
-a mannequin's arm at seven places to each depth, those on a human arm at seven places of two tubes
-by three levels of force, each at three forces. Cycles of each press are recorded as in the studies,
-and inverted together, with a library of the rod that stands for the 25 mm one on the bent tube,
-made beforehand by
+a mannequin's arm at seven positions for each depth, those on a human arm at seven positions of two
+tubes at three levels of force, with three forces each. Cycles of each press are recorded as in the
+studies and inverted together, with a library of the rod that is equivalent to the 25 mm one on the
+bent tube, made beforehand by
 
     acoustube library --indenter 19.2 --depth 0.5:8:0.25 --out rigid
     acoustube library --indenter 19.2 --depth 0.5:12:0.25 --config soft.toml --out soft
 
 (19.2 mm is `arm.tool` of the sleeve; soft.toml states ``support = "free"``, ``layer_mm = 20``
 and ``layer_mpa = 0.06`` under ``[indentation]``). The library's presses are on the study's mesh, by
-its solver, but at depths of its own; the recordings' bends are joined by all their modes, the
-inversion has bent modes. Each press is a row of a CSV file; rows that are there are not
+its solver, but at other depths; the bends of the recordings are joined by all their modes, while
+the inversion uses bent modes. Each press is a row of a CSV file; existing rows are not
 computed again.
 
 Usage: python benchmarks/inversion_on_arms.py WORK LIBRARY out.csv --study mannequin
@@ -43,7 +43,7 @@ from acoustube.runs.libraries.files import open_library
 
 CYCLES = 50
 NEAR = 0.05
-"""Distance in m within which a press counts as found."""
+"""Largest distance in m between an estimated and a true press that counts as found."""
 COLUMNS = (
     "tube", "level", "true_cm", "true_mm", "true_n", "found", "cm", "cm_low", "cm_high", "mm", "n",
     "n_low", "n_high", "n_contacts", "misfit", "seconds", "peak_cm",

@@ -1,10 +1,10 @@
-"""Two moving fingers followed from cycle to cycle: processor time a cycle, memory and errors.
+"""Two moving fingers tracked from cycle to cycle: processor time per cycle, memory and errors.
 
-Fingers land, slide, deepen and lift at about 0.55 and 1 m of a tube of 2 m, over and over; cycles
-are computed one by one by the rangefinder's model, with the library's scattering at depths between
-its own. The figures show the search, the filter and the noise, not errors of the scattering. With
+Fingers repeatedly land, slide, press deeper and lift at about 0.55 and 1 m of a tube of 2 m; cycles
+are computed one by one with the rangefinder's model, with the library's scattering interpolated in
+depth. The results include errors of search, filter and noise, not of the scattering. With
 ``--board`` the cycles are those of EchoTube's board: 80 kHz, unfiltered, 8 bits. With ``--sleeve``
-the tube is wrapped around a forearm as in the sleeve paper; its bends take a second or two a cycle.
+the tube is wrapped around a forearm as in the sleeve paper; its bends take 1 to 2 s per cycle.
 
 Usage: python benchmarks/inversion_tracking.py FOLDER --seconds 60
 """
@@ -28,16 +28,16 @@ from acoustube.sleeve import between_bends, design, windings
 
 LENGTH, TUBE, AIR, RATE, NEAR = 2.0, 7, 20.1, 20, 0.05
 FOREARM, WRAPPED, REACH = (0.26, (0.18, 0.266)), 2.5, 0.03
-"""Length and girths of the arm, length of the tube around it, and half the length of tube that is
-straight at a press, in m."""
+"""Length and girths of the arm, length of the tube around it, and half the length of the tube that
+is straight at a press, in m."""
 UNTOUCHED = 100
-"""Cycles from which the clutter is learned."""
+"""Number of cycles from which the clutter is learned."""
 SETTLED = 0.5
-"""Time in s after a landing from which errors are told apart."""
+"""Time in s after a landing from which errors are printed separately."""
 
 
 def finger(t, start, hold, pause, place, slide, depth):
-    """Return place, depth and time since landing of a finger that comes again and again."""
+    """Return position, depth and time since landing of a finger that lands repeatedly."""
     k, since = divmod(t - start, hold + pause)
     if t < start or since > hold:
         return None

@@ -1,7 +1,7 @@
-"""Does `acoustube live` keep up with a board for ten minutes, and does its memory stay flat?
+"""Does `acoustube live` keep up with a board for ten minutes, with constant memory?
 
-A process of its own writes what EchoTube's board sends to a pseudo-terminal, 20 cycles per second,
-the bytes at the pace of 1 Mbaud; every hundredth frame ends in its middle. The table tells the
+Another process writes the data of EchoTube's board to a pseudo-terminal, 20 cycles per second,
+the bytes at the rate of 1 Mbaud; every hundredth frame ends in its middle. The table lists the
 cycles sent, received, garbled and dropped, percentiles of the latency from a cycle's last byte to
 its row in the log (of the last 2000 cycles), the largest error of a distance, the resident memory
 after ten seconds and at the end, and the seconds of one core. On Linux, ``python
@@ -31,11 +31,11 @@ from acoustube.runs.live import Stream, Tally, follow  # noqa: E402
 
 CYCLES_PER_SECOND, BYTES_PER_SECOND, CHUNK = 20.0, 1e5, 200
 DAMAGED = 100
-"""One frame in so many has lost its second half."""
+"""Number of frames of which one lacks its second half."""
 
 
 def frames_of(n_cycles: int) -> Iterator[bytes]:
-    """Yield the frames of cycles, some of them damaged."""
+    """Yield the frames of cycles, some of which are damaged."""
     for i in range(n_cycles):
         frame = FRAMES[i % len(FRAMES)]
         if i % DAMAGED == DAMAGED - 1:
@@ -44,7 +44,7 @@ def frames_of(n_cycles: int) -> Iterator[bytes]:
 
 
 def write_frames(end: int, frames: Iterable[bytes]) -> None:
-    """Write frames to the board's end of a pseudo-terminal, at the board's pace."""
+    """Write frames to the board's end of a pseudo-terminal, at the board's rate."""
     start = time.monotonic() + 1.0
     for i, frame in enumerate(frames):
         for first in range(0, len(frame), CHUNK):
@@ -74,7 +74,7 @@ def listen(board: Board, n_cycles: int, log: Path) -> tuple[Tally, float]:
 
 
 def largest_error(log: Path) -> float:
-    """Return the largest error of a distance in a log, in m; the frames tell their own place."""
+    """Return the largest error of a distance in a log, in m; frames state their own distance."""
     with log.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     true = DISTANCES[[int(row["pulse_width"]) - 1000 for row in rows]]

@@ -1,10 +1,10 @@
-"""Does `acoustube live --library` follow two fingers for ten minutes?
+"""Does `acoustube live --library` track two fingers for ten minutes?
 
-The fingers of ``inversion_tracking.py`` land, slide, deepen and lift on a tube of 2 m. A process of
-its own computes their cycles beforehand, by :class:`acoustube.sensor.TubeSensor`, as EchoTube's
-board would sample them: 80 kHz without a filter, 8 bits, its gain raised so that presses fill the
-converter. Another one writes them to a pseudo-terminal, 20 a second, the bytes at the pace of
-1 Mbaud, after an untouched time from which the clutter is learned. Printed are the cycles sent,
+The fingers of ``inversion_tracking.py`` land, slide, press deeper and lift on a tube of 2 m. One
+process computes their cycles beforehand, by :class:`acoustube.sensor.TubeSensor`, as EchoTube's
+board would sample them: 80 kHz without a filter, 8 bits, with a gain at which presses fill the
+converter. Another one writes them to a pseudo-terminal, 20 per second, the bytes at the rate of
+1 Mbaud, after untouched cycles from which the clutter is learned. Printed are the cycles sent,
 received and left out, percentiles of the latency from a cycle's last byte to its row (of the last
 2000 cycles), the resident memory after half a minute and at the end, the seconds of one core, and
 the errors of the contacts.
@@ -35,7 +35,7 @@ from acoustube.ranging import Rangefinder, digitise
 from acoustube.recordings.echotube_stream import PULSE_WIDTH_BYTES, encode
 
 REST, FOLD = 5.0, 3
-"""Untouched time in s, and samples computed for each one that the board takes."""
+"""Untouched time in s, and number of computed samples per sample of the board."""
 GAIN, NOISE = 25.0, 2e-3
 """Received level in V of a complete reflection, and noise in V: 20 times EchoTube's."""
 BOARD = Rangefinder(sampling_rate=80e3, n_samples=2000, bits=8, gain=GAIN, noise=NOISE)
@@ -48,13 +48,13 @@ length_cm = {100 * LENGTH}
 temperature_bias = 0.0
 """
 COVERED = 1.645
-"""Standard deviations of a 90 % interval."""
+"""Half a 90 % interval in standard deviations."""
 STARTING, SETTLING = 30.0, 30.0
-"""Time in s until the board begins, and then until the memory is measured first."""
+"""Time in s until the board starts, and from then until memory is first measured."""
 
 
 def make(library: Path, out: Path, n_cycles: int) -> None:
-    """Write the frames' samples and the fingers' places, depths and times since landing."""
+    """Write the frames' samples and the fingers' positions, depths and times since landing."""
     from acoustube.sensor import Contact, TubeSensor
 
     fine = dataclasses.replace(
@@ -78,7 +78,7 @@ def make(library: Path, out: Path, n_cycles: int) -> None:
 
 
 def play(end: int, cycles: Path) -> None:
-    """Write cycles to the board's end of a pseudo-terminal, at the board's pace."""
+    """Write cycles to the board's end of a pseudo-terminal, at the board's rate."""
     with np.load(cycles) as file:
         frames = [encode(i, one) for i, one in enumerate(file["samples"])]
     time.sleep(STARTING)

@@ -1,4 +1,4 @@
-"""How far is the march's echo from the spectral solver's, and what does it cost, by resolution?
+"""Error of the march's echo against the spectral solver, and its cost, by resolution.
 
 Rods of 10, 25 and 35 mm on the default tube of 40 cm, without losses. For each resolution: distance
 and height of the highest echo less those of the spectral solver, the difference of the two

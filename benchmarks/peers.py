@@ -1,13 +1,13 @@
-"""How fast, and how right, are acoustube, j-Wave, k-Wave-python and Devito at the same job?
+"""How fast and how accurate are acoustube, j-Wave, k-Wave-python and Devito on one problem?
 
-The job that all can do: a plane packet of 42 kHz in a square duct of air, 32 x 32 x 512 cells, 20
-to a wavelength, absorbing at both ends, float32. It runs both ways from its start; a plane records
+The problem, which all can solve: a plane packet of 42 kHz in a square duct of air, 32 x 32 x 512
+cells, 20 per wavelength, absorbing at both ends, float32. It propagates both ways; a plane records
 one half. Each row: cell updates per second, and the relative L2 error of the recording against
 d'Alembert's solution. The duct has rigid walls in acoustube and Devito, and is periodic in the two
 spectral codes, which for this packet is the same. Round bores, wall losses and modes are beyond
 the others, and are not compared; spectral codes need fewer cells per wavelength for this error.
 
-Each peer runs in an environment of its own, made beforehand:
+Each peer runs in its own environment, made beforehand:
 
     python -m venv ENV && ENV/bin/pip install jwave         (or k-wave-python, or devito)
     python benchmarks/peers.py jwave=ENV kwave=ENV devito=ENV
@@ -38,7 +38,7 @@ Heard = tuple[np.ndarray, float, int]
 
 
 def packet(distance: np.ndarray) -> np.ndarray:
-    """Return the packet at distances from its middle in m: three wavelengths across."""
+    """Return the packet of three wavelengths at distances from its middle in m."""
     width = SPEED / FREQUENCY
     return np.exp(-0.5 * (distance / width) ** 2) * np.cos(2 * np.pi * distance / width)
 
@@ -50,7 +50,7 @@ def start() -> np.ndarray:
 
 
 def acoustube() -> Heard:
-    """March whole, full cells; the second of two runs counts."""
+    """March whole, full cells; the second of two runs is timed."""
     from acoustube.air import Air
     from acoustube.waves.grid.cells import CutCells
     from acoustube.waves.scheme.leapfrog import initial_state, march
@@ -76,7 +76,7 @@ def acoustube() -> Heard:
 
 
 def jwave() -> Heard:
-    """March j-Wave's Fourier scheme, compiled; the second of two runs counts."""
+    """March j-Wave's Fourier scheme, compiled; the second of two runs is timed."""
     import jax
     import jax.numpy as jnp
     from jaxdf import FourierSeries
@@ -86,7 +86,7 @@ def jwave() -> Heard:
 
     shape = ACROSS, ACROSS, ALONG
     domain = Domain(shape, (SPACING,) * 3)
-    # Its absorbing layer lies on all sides: none, and the run ends before what wraps round is back.
+    # Its layer would absorb on all sides: none here; the run ends before sound wraps round.
     medium = Medium(domain=domain, sound_speed=SPEED, density=DENSITY, pml_size=0)
     middle = (np.array([ACROSS // 2]), np.array([ACROSS // 2]), np.array([PROBE]))
     axis = TimeAxis(dt=STEP, t_end=N_STEPS * STEP)
@@ -106,10 +106,10 @@ def jwave() -> Heard:
 
 
 def kwave() -> Heard:
-    """March k-Wave's scheme by NumPy."""
+    """March k-Wave's scheme in NumPy."""
     import urllib.request
 
-    # It looks for what it has downloaded: an empty file.
+    # It checks for the file that it would have downloaded: an empty one.
     urllib.request.urlretrieve = lambda _, path, *__: Path(path).touch()  # type: ignore[assignment]
     from kwave.kgrid import kWaveGrid
     from kwave.kmedium import kWaveMedium
@@ -133,7 +133,7 @@ def kwave() -> Heard:
 
 
 def devito() -> Heard:
-    """March a second-order stencil that Devito writes in C; the second of two runs counts."""
+    """March a second-order stencil that Devito writes in C; the second of two runs is timed."""
     from devito import Eq, Grid, Operator, TimeFunction, configuration, solve
 
     configuration["log-level"] = "ERROR"
@@ -173,7 +173,7 @@ def row(name: str) -> str:
     pressure, seconds, cells = PEERS[name]()
     time = STEP * (np.arange(len(pressure)) + 1)
     errors = []
-    for late in (0.0, STEP, STEP / 2):  # codes differ in which instant a record belongs to
+    for late in (0.0, STEP, STEP / 2):  # codes differ in the instant of a recorded sample
         distance = (PROBE - START) * SPACING - SPEED * (time - late)
         exact = packet(distance) / 2
         errors.append(np.linalg.norm(pressure - exact) / np.linalg.norm(exact))

@@ -19,7 +19,7 @@ def placed_press(
     Parameters
     ----------
     tool : Tool
-        Of a library.
+        Tool of a library.
     place, depth : float
         In m.
     sound_speed : float, optional

@@ -1,14 +1,14 @@
-"""Time to read good files of every kind, with limits, hashes and readers in a child process.
+"""Time to read valid files of every format, with limits, hashes and readers in a child process.
 
-Run it with an earlier version on the path to compare::
+To compare, run it with another version on the path::
 
     python benchmarks/reading_files.py
     PYTHONPATH=OTHER_CHECKOUT python benchmarks/reading_files.py
 
-The smallest of several times is printed, after a first reading that starts what is started once
-(libraries, compiled code, the child process).
+The smallest of several times is printed, after a first reading that loads libraries, compiled
+code and the child process.
 
-Against the version before there were limits, on one core, in ms: NPZ 3.8 and 4.5, packed 19.1 and
+The version before the limits and this one, on one core, in ms: NPZ 3.8 and 4.5, packed 19.1 and
 20.0, NPY 2.3 and 2.4, WAV 2.3 and 2.4, FLAC 25.0 and 27.1, MAT 3.2 and 4.5, HDF5 3.6 and 5.0,
 netCDF 12.1 and 7.1, CSV 90.8 and 96.6, STL 35.7 and 35.3, as text 231 and 230, PLY 20.5 and 20.5,
 OBJ 66.1 and 65.4, VTP 21.7 and 23.3, markers 3.1 and 3.1, C3D 24.3 and 26.0, settings 0.12 and
@@ -29,7 +29,7 @@ import numpy as np
 
 CYCLES, SAMPLES, RATE = 500, 4000, 200e3
 REPEATS, LONGEST = 15, 6.0
-"""Times that a file is read at most, and seconds that are spent on it."""
+"""Largest number of times that a file is read, and largest time in s spent on it."""
 
 
 def main() -> None:
@@ -86,7 +86,7 @@ def recordings() -> dict[str, Callable[[], Any]]:
         "cycles.wav": options | bare, "cycles.flac": options | bare, "cycles.mat": {},
         "cycles.h5": {}, "cycles.nc": {}, "cycles.csv": {"temperature": 20.0},
     }  # fmt: skip
-    # Each value is looked at, for some kinds are mapped and read only then.
+    # Each value is accessed, as some formats are mapped and read only then.
     return {name: lambda n=name, how=how: read(n, **how)["signal"].values.max()
             for name, how in given.items()}  # fmt: skip
 

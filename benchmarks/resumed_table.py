@@ -1,4 +1,4 @@
-"""Tables of benchmarks that are continued: a CSV file to which the missing rows are added."""
+"""Resumable tables of benchmarks: a CSV file to which the missing rows are added."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def completed(
     Parameters
     ----------
     table : Path
-        CSV file; made if it does not exist.
+        CSV file; created if it does not exist.
     columns : sequence of str
     key : sequence of str
         Columns that name a case.

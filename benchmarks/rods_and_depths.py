@@ -1,6 +1,6 @@
-"""What do rods of 10, 25 and 35 mm give at depths of 2, 4 and 6 mm, and where is the error from?
+"""Results of rods of 10, 25 and 35 mm at depths of 2, 4 and 6 mm, and sources of their errors.
 
-The default tube of 40 cm, pressed in its middle, at full resolution (32 cells across the bore). One
+The default tube of 40 cm, pressed in the middle, at full resolution (32 cells across the bore). One
 indentation per rod serves its three depths. Prints a table in Markdown, some eight minutes of work
 on two cores: ``python benchmarks/rods_and_depths.py [RESOLUTION [SUPPORT]]``.
 """

@@ -1,12 +1,12 @@
-"""Cycles of TubeSensor beside the full chain, on random contacts off its nodes; speed and memory.
+"""Errors of TubeSensor against the full chain, for random contacts; its speed and memory.
 
-The full chain scatters each deformed lumen by the spectral solver, at depths that the library does
-not have, places the matrices in the tube and records them (``acoustube.ranging.record``), without
-noise. Echoes are compared in place (the lag of the highest correlation), in amplitude (of the
-envelope's peak) and sample by sample, each contact's from 2 ms before the next one's.
+The full chain computes the scattering of each deformed lumen by the spectral solver, at depths that
+the library lacks, places the matrices in the tube and records them (``acoustube.ranging.record``),
+without noise. Echoes are compared in position (the lag of the highest correlation), amplitude (of
+the envelope's peak) and sample by sample, each contact's from 2 ms before the next one's.
 
-With ``--loops`` the tube is wrapped about the sleeve paper's forearm, in the chain as bends in
-series, which keep their curvature over half a turn each.
+With ``--loops`` the tube is wrapped around the sleeve paper's forearm, in the chain as bends in
+series with constant curvature over half a turn each.
 
 Usage: acoustube library --indenter 25 --depth 0.5:8:0.25 --out FOLDER
        python benchmarks/sensor_cycles.py FOLDER --count 200 [--loops 9]
@@ -29,15 +29,15 @@ from acoustube.sleeve import design, windings, wrapped
 from acoustube.waves import PlacedScatterer
 
 PLACES, DEPTHS, FORMS = (0.3, 2.3), (0.7e-3, 7.9e-3), 40
-"""Ranges in m of places and depths, and the number of different depths."""
+"""Ranges in m of positions and depths, and the number of different depths."""
 FOREARM = 0.26, (0.18, 0.266)
 """Length in m of a sleeve, and girths of the forearm at its ends."""
 QUIET = dataclasses.replace(Rangefinder(), noise=0.0, drift=0.0, quantised=False, offset=0.0)
 
 
 def matrices():
-    """Return depths off the library's and their scattering, computed or from the cache."""
-    # Imported here, since the memory of a process with a sensor alone is measured too.
+    """Return depths between the library's and their scattering, computed or from the cache."""
+    # Imported here, as the memory of a process with a sensor alone is measured too.
     from acoustube.indentation import DepthPath
     from acoustube.lumen import pressed_part
     from acoustube.runs import presses
@@ -57,7 +57,7 @@ def matrices():
 
 
 def transparent(matrix):
-    """Return the scattering of no press, in the band of a press: the chain has no other sound."""
+    """Return the scattering of an undeformed tube, in the band of a press, for the chain."""
     s = np.zeros_like(matrix.s)
     for mode in range(len(matrix.modes)):
         s[:, 0, mode, 1, mode] = s[:, 1, mode, 0, mode] = matrix.propagates[:, mode]
@@ -70,7 +70,7 @@ def recorded(sensor, placed):
 
 
 def compared(sensor, known, places, depths, arm):
-    """Return errors of place in mm, of amplitude and of samples, of the first contact's echo."""
+    """Return errors of position in mm, amplitude and samples, of the first contact's echo."""
     from scipy.signal import hilbert
 
     placed = [PlacedScatterer(known[d], z) for z, d in zip(places, depths, strict=True)]
@@ -97,7 +97,7 @@ def compared(sensor, known, places, depths, arm):
 
 
 def in_words(values, scale=1.0):
-    """Return median, 90 % and largest magnitude."""
+    """Return median, 90 % and largest magnitude, as text."""
     q = np.quantile(np.abs(values) * scale, [0.5, 0.9, 1.0])
     return " / ".join(f"{x:.3g}" for x in q)
 

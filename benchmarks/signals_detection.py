@@ -1,4 +1,4 @@
-"""How often is an echo found, and how often one that is not there, against its ratio to the noise?
+"""Rates of detection and of false detection of an echo, against its signal-to-noise ratio.
 
 White noise on synthetic cycles, the sleeve paper's processing, the least prominence at 2.8 and at 8
 standard deviations of untouched cycles. Prints a table and draws ``signals_detection.png`` into the

@@ -1,9 +1,9 @@
-"""How long do 143 250 cycles of 4000 samples take, as many as the sleeve paper's flat table has?
+"""Time to process 143 250 cycles of 4000 samples, the number in the sleeve paper's flat table.
 
-They are made and written to a netCDF file piece by piece; then they are read and processed as
-`acoustube process` does. Printed: seconds and the largest memory of the process, beside a plain
-loop of SciPy calls over some of the cycles, and how far the
-two are apart. Some minutes and 1.2 GB of disk: ``python benchmarks/signals_many_cycles.py [N]``.
+They are made and written to a netCDF file piece by piece, and then read and processed as by
+`acoustube process`. Printed are the time in s and the largest memory of the process, those of a
+plain loop of SciPy calls over some of the cycles, and the largest difference of the
+two. Some minutes and 1.2 GB of disk: ``python benchmarks/signals_many_cycles.py [N]``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ RATE, CARRIER, SPEED = 200e3, 42e3, 343.2415
 TIME = np.arange(4000) / RATE
 HOW = Processing(gain=TimeGain(-0.25, 2.0, 0.9, 0.42), prominence=0.02)
 PLAIN = 2000
-"""Cycles of the plain loop."""
+"""Number of cycles of the plain loop."""
 
 
 def cycles(count: int, seed: int) -> np.ndarray:
@@ -63,7 +63,7 @@ def write(path: Path, count: int) -> None:
 
 
 def plain_loop(samples: np.ndarray) -> list[float]:
-    """Return the distances that plain calls of SciPy find, cycle by cycle."""
+    """Return the distances by plain calls of SciPy, cycle by cycle."""
     slow = signal.butter(2, 100.0, fs=RATE, output="sos")
     low = signal.butter(2, 10e3, fs=RATE, output="sos")
     wave, middle, found = template(RATE, CARRIER), 5.5 / CARRIER, []

@@ -1,4 +1,4 @@
-"""Constants of the stated deviation of a distance: noise on an echo and at rest, and sampling.
+"""Constants of the stated deviation of a distance: noise at an echo and at rest, and sampling.
 
 Run: python benchmarks/signals_peak_noise.py
 
@@ -25,7 +25,7 @@ def main() -> None:
     pulse, rng = Pulse(frequency=42e3), np.random.default_rng(0)
     time = np.arange(4000) / RATE
     speed = float(signals.speed_of_sound(20.0))
-    # Delays over a whole period of the carrier, which is 4.76 samples.
+    # Delays over a whole period of the carrier, 4.76 samples.
     delay = 2 * PLACE / speed + np.linspace(0, 100 / RATE, CYCLES, endpoint=False)
     clean = pulse(time) + HEIGHT * pulse(time - delay[:, None])
     noisy = clean + NOISE * rng.standard_normal(clean.shape)
@@ -34,7 +34,7 @@ def main() -> None:
     for name, cycles in (("rectified", None), ("matched", 10)):
         settings = signals.Processing(prominence=0.1, template_cycles=cycles, offset_cutoff=None)
         exact, found = (signals.locate(time, c, settings) for c in (clean, noisy))
-        # In the unit of the noiseless send pulse, so that its noise does not count.
+        # In units of the noiseless send pulse, so that its noise has no effect.
         slopes = np.diff(found.envelope * (found.send_amplitude / exact.send_amplitude)[:, None])
         ideal = np.diff(exact.envelope)
         peak = np.round(exact.return_time * RATE).astype(int)[:, None]

@@ -1,11 +1,11 @@
-"""Do finite elements say what the spectral solver says of a press, and where does the march stand?
+"""Scattering of a press by finite elements and by the march, against the spectral solver.
 
     PYTHONPATH=tests OMP_NUM_THREADS=1 python benchmarks/spectral_against_finite_elements.py
 
 The 25 mm rod at 4 and 7.5 mm, without losses: R00 and T00 of quadratic hexahedra on meshes of
 51 000 and 117 000 unknowns, extrapolated (tests/lumen_elements.py), and of the march at 16 and 24
-cells, each less those of the spectral solver at a tolerance of 1e-5. The last columns are by how
-much path their T00 is later. Ten minutes. Needs scikit-fem.
+cells, each less those of the spectral solver at a tolerance of 1e-5. The last columns are the
+additional path by the phase of T00. Ten minutes. Needs scikit-fem.
 """
 
 from __future__ import annotations

@@ -1,20 +1,20 @@
-"""How right is the spectral solver on presses, and how honest its estimate?
+"""How accurate is the spectral solver on presses, and how reliable is its error estimate?
 
     OMP_NUM_THREADS=1 python benchmarks/spectral_presses.py [--depths 2 4 7.8]
     OMP_NUM_THREADS=1 python benchmarks/spectral_presses.py --march 24 32 --rows march.jsonl
 
 The 25 mm rod on the default tube, 8 to 60 kHz every 100 Hz, modes symmetric about x = 0, at the
-default tolerance. The reference is a basis twice as rich: elements half as long, of degree 12 (14
+default tolerance. The reference has a basis twice as rich: elements half as long, of degree 12 (14
 from 7.8 mm on), with more shifts, and with losses more directly solved frequencies and one more
 response to the layers. Each row:
-depth in mm, losses, processor seconds (least of ``--runs``), largest difference of any coefficient
-(median, 95 %, maximum over the band), the solver's estimate (the same), how many per cent of the
-frequencies exceed it, and by how much at most.
+depth in mm, losses, processor time in s (least of ``--runs``), largest error of any coefficient
+(median, 95 %, maximum over the band), the solver's estimate (the same), the percentage of
+frequencies at which the error exceeds it, and the largest excess.
 
 ``--march`` gives the differences of R00 and T00 of the time-domain solver from the same reference
-instead, on grids of so many cells across, 0.3 kHz and more from the cut-ons: over the band and over
-36 to 48 kHz, with its processor seconds and how many frequencies are not settled. Each row is
-appended to ``--rows`` as soon as it is known, and rows that are there are not computed again.
+instead, on grids of given numbers of cells across, 0.3 kHz and more from the cut-ons: over the band
+and over 36 to 48 kHz, with its processor time and the number of frequencies that are not settled.
+Each row is appended to ``--rows`` as soon as it is known, and existing rows are not computed again.
 ``--keep FOLDER`` writes the matrices of the march there, as ``march_32_lossy_7.5.nc``.
 """
 
@@ -54,13 +54,13 @@ DEPTHS = (2.0, 4.0, 6.0, 7.0, 7.5, 7.8, 8.0)
 FREQUENCY = np.arange(8e3, 60.05e3, 100.0)
 AIR = air_at(20.0)
 OFF_CUT_ON = 300.0
-"""Distance in Hz from the cut-ons from which the two methods are compared."""
+"""Least distance in Hz from the cut-ons at which the two methods are compared."""
 ALMOST_CLOSED = 7.8
 """Depth in mm from which the reference has a higher degree."""
 MIDDLE_BAND = 36e3, 48e3
 """Band in Hz around the carrier of EchoTube."""
 N_SHIFTS = 26
-"""Of the reference."""
+"""Number of shifts of the reference."""
 QUANTILES = 0.5, 0.95, 1.0
 
 
@@ -123,7 +123,7 @@ def compare_march(
             if key not in rows:
                 if (lossy_wall, depth) not in references:
                     references[lossy_wall, depth] = reference_of(depth, lumen, lossy=lossy_wall)
-                # Compiles, so that the second run is one of the method.
+                # Compiles, so that only the method is timed in the second run.
                 march(lumen, cells, lossy=lossy_wall, longest=1e-4)
                 marched, seconds = timed(march, lumen, cells, lossy=lossy_wall)
                 if folder is not None:
@@ -169,7 +169,7 @@ def march(lumen: Lumen, resolution: int, **options: Any) -> Scattering:
 
 @contextmanager
 def richer(degree: int) -> Iterator[None]:
-    """Let the spectral solver begin with a basis twice as rich."""
+    """Make the spectral solver start with a basis twice as rich."""
 
     def rich(*given: Any, **settings: Any) -> Basis:
         basis = first_basis.first_basis(*given, **settings)
@@ -189,7 +189,7 @@ def richer(degree: int) -> Iterator[None]:
 
 
 def timed(work: Callable[..., Any], *given: Any, **settings: Any) -> tuple[Any, float]:
-    """Return a result and its processor seconds."""
+    """Return a result and its processor time in s."""
     start = process_time()
     found = work(*given, **settings)
     return found, process_time() - start

@@ -1,10 +1,10 @@
-"""How long does the spectral solver take for one scattering matrix, and how right is it?
+"""How long does the spectral solver take for one scattering matrix, and how accurate is it?
 
     PYTHONPATH=tests OMP_NUM_THREADS=1 python benchmarks/spectral_scattering.py
 
 Lumens A and E of tests/test_spectral.py, with all modes symmetric about x = 0 of 8 to 60 kHz, every
-100 Hz. Each row: tolerance, processor seconds (best of three), the error of R00 and T00 at the
-frequencies of the independent reference, the solver's own estimate for all modes, and the sizes
+100 Hz. Each row: tolerance, processor time in s (best of three), the error of R00 and T00 at the
+frequencies of the independent reference, the solver's error estimate for all modes, and the sizes
 chosen.
 """
 

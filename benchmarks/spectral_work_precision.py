@@ -1,9 +1,9 @@
-"""What does a scattering matrix cost, by its precision, by the bore, the band and the press?
+"""Cost of a scattering matrix, by its precision, and by bore, band and press.
 
     PYTHONPATH=tests NUMBA_NUM_THREADS=1 python benchmarks/spectral_work_precision.py
 
 First, lumens A and E of tests/test_spectral.py without losses, modes symmetric about x = 0: each
-row a method and its setting, processor seconds of the matrix (compiled before; the march every
+row a method and its setting, processor time in s of the matrix (compiled before; the march every
 400 Hz, the spectral solver every 100 Hz), and the 95 % quantile and the maximum of the error of R00
 and T00 against the independent reference, 0.3 kHz and more from the cut-ons. A figure has both
 methods on one axis. Then the spectral solver with losses at its default tolerance on lumen E of
@@ -62,7 +62,7 @@ def precision(case: str) -> list[Row]:
 
 
 def scaled(bore: float, half_length: float) -> spectral.Wall:
-    """Return lumen E of another bore and length, in m."""
+    """Return lumen E with another bore and length, in m."""
     radius, length = bore / 2 / RADIUS, half_length / CASES["E"][1]
 
     def lines(z: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -74,7 +74,7 @@ def scaled(bore: float, half_length: float) -> spectral.Wall:
 
 
 def cost(bore: float, half_length: float, band: tuple[float, float]) -> str:
-    """Return seconds, estimate and sizes of a matrix with losses, every 100 Hz."""
+    """Return time in s, estimate and sizes of a matrix with losses, every 100 Hz."""
     frequency = np.arange(*band, 100.0)
     start = process_time()
     found = spectral.scatter_spectral(

@@ -1,8 +1,8 @@
-"""What do 143 250 labelled cycles of the flat study cost, and how far are they from whole marches?
+"""Cost of 143 250 labelled cycles of the flat study, and their difference from whole marches.
 
-The plan: 191 places, 15 depths of a 25 mm rod, 50 cycles each, in a tube of 2.5 m. Its presses and
-their scattering are computed first, for one place; then the cases and the cycles are timed. A
-sample of cases is marched whole, at the same resolution, and compared at the probe.
+The plan: 191 positions, 15 depths of a 25 mm rod, 50 cycles each, in a tube of 2.5 m. Presses and
+their scattering are computed first, for one position; then the cases and the cycles are timed. A
+sample of cases is marched in the whole tube, at the same resolution, and compared at the probe.
 
     python benchmarks/sweep_flat_study.py FOLDER [--march 10]
 """
@@ -27,7 +27,7 @@ from acoustube.runs.sweep.workers import cores
 from acoustube.waves import cut_cells, grid_spacing, propagate
 
 REST = 0.5
-"""Tube in m beyond a press, and way of the sound, that is marched."""
+"""Length in m of the marched tube beyond a press, and of the path of the sound."""
 OVER = {"indenter_mm": ["25"], "depth_mm": ["1:8:0.5"], "length_cm": ["250"]}
 PLACES = {"position_cm": ["20:210:1"]}
 
@@ -38,7 +38,7 @@ def size_of(folder):
 
 
 def timed(what, work):
-    """Do something and print how long it took."""
+    """Do something and print its duration."""
     start = time.perf_counter()
     result = work()
     seconds = time.perf_counter() - start
@@ -47,7 +47,7 @@ def timed(what, work):
 
 
 def memory():
-    """Return the most memory in GB of this process and of its largest worker."""
+    """Return the largest memory in GB of this process and of its largest worker."""
     kinds = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
     return [resource.getrusage(kind).ru_maxrss / 1e6 for kind in kinds]
 
@@ -55,7 +55,7 @@ def memory():
 def marched(data, count):
     """Return the differences of some cases from marches, and the time of a whole march.
 
-    A case is marched in as much tube and for as long as its echo needs, REST beyond it.
+    A case is marched in the length of tube and for the time that its echo needs, REST beyond it.
     """
     rng = np.random.default_rng(1)
     depths = tuple(1e-3 * 0.5 * i for i in range(2, 17))
@@ -88,7 +88,7 @@ def marched(data, count):
         at = at[at < recording.time[-1]]
         here = case["pressure"].values[: len(at)]
         there = CubicSpline(recording.time, recording.pressure[0])(at)
-        # The echo begins when the pulse has long passed the probe.
+        # The echo begins long after the pulse has passed the probe.
         echo = at > 2 * place / 345 - 2e-4
         off = [
             np.linalg.norm((here - there)[part]) / np.linalg.norm(there[part])

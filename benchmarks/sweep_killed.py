@@ -1,10 +1,10 @@
-"""Is a sweep that is killed again and again the same as one that is left alone?
+"""Does a sweep that is killed repeatedly give the results of an undisturbed one?
 
 A small sweep of two depths, two places and the untouched tube. In turn a worker, the whole sweep
 with its workers, or the sweep alone is killed (SIGKILL) at a random moment, and the command is
-repeated, until it has been killed as often as requested; then it is left to finish, and compared
-bit by bit. Results that are complete before the last kill are removed, and computed again from the
-pieces that are cached. Some minutes: ``python benchmarks/sweep_killed.py [KILLS]``.
+repeated, until it has been killed as often as requested; then it is completed, and compared
+bit by bit. Results that are complete before the last kill are removed, and computed again from
+cached presses and matrices. Some minutes: ``python benchmarks/sweep_killed.py [KILLS]``.
 """
 
 import os
@@ -27,7 +27,7 @@ WHAT = ("worker", "all", "sweep alone")
 
 
 def started(folder, name):
-    """Start a sweep with a cache of its own."""
+    """Start a sweep with its own cache."""
     environment = os.environ | {"ACOUSTUBE_CACHE": str(folder / f"cache of {name}")}
     return subprocess.Popen(
         [*COMMAND, "--out", str(folder / name)], env=environment, start_new_session=True
@@ -42,7 +42,7 @@ def workers_of(pid):
 
 
 def kill(sweep, what):
-    """Kill a worker, all, or the sweep alone; return what was killed."""
+    """Kill a worker, all processes, or the sweep alone; return what was killed."""
     workers = workers_of(sweep.pid)
     if what == "worker" and workers:
         os.kill(workers[0], signal.SIGKILL)

@@ -1,8 +1,8 @@
-"""Is the loss model right where a channel is a few boundary layers wide, and where it narrows?
+"""Error of the loss model in channels of a few boundary layers' width, and where they narrow.
 
     PYTHONPATH=tests OMP_NUM_THREADS=1 python benchmarks/thermoviscous_channels.py [--write FILE]
 
-Against the linearised equations of Navier, Stokes and Fourier by finite elements in two dimensions
+The reference is the linearised Navier-Stokes-Fourier equations by finite elements in two dimensions
 (tests/thermoviscous.py): the wavenumber in slits of 20 um to 1 mm, and R and T of the plane mode
 through channels of 4 mm that are narrowed over 8 mm, between planes (the model's boundary impedance
 in finite elements on the same mesh) and round (the spectral solver itself). ``--write`` stores the

@@ -1,11 +1,11 @@
 """How much of the gap between the default sensor and a hidden one does a twin close?
 
-Hidden sensors as of `twin_hidden_sensors.py`, with a wall of a hardness of their own, on a tube of
+Hidden sensors are those of `twin_hidden_sensors.py`, with a wall of another hardness, on a tube of
 the library's bore. A twin is fitted to closures, the untouched tube and six presses of known force.
 The same estimator (gradient boosting on features of the echo) is trained on simulated presses of
 the default sensor, on those of the twin, and on presses of the hidden sensor itself, and tested on
-other presses of that: median absolute errors of distance, depth and force. Every sensor and
-quantity is a row of a CSV file; sensors that are there are not computed again.
+other presses of the hidden sensor: median absolute errors of distance, depth and force. Every
+sensor and quantity is a row of a CSV file; existing sensors are not computed again.
 
 Usage: python benchmarks/twin_gap.py LIBRARY out.csv --count 10
 """
@@ -63,7 +63,7 @@ class PressedBench(Bench):
         )
 
     def pressed(self, place: float, depth: float, n: int) -> np.ndarray:
-        """Return cycles of a press, in counts, by the plane wave's echo alone."""
+        """Return cycles of a press, in counts, with the plane wave's echo only."""
         s, plane = self.sensor, self.tool.matrix(depth)[:, :, 0, :, 0]
         at = np.clip(self.frequency * self.tool.sound_speed / air_at(s.air).sound_speed,
                      *self.tool.frequency[[0, -1]])  # fmt: skip
@@ -93,7 +93,7 @@ class PressedBench(Bench):
 
 
 def hidden(number: int, tool: Tool) -> PressedBench:
-    """Return a hidden sensor whose band the library holds."""
+    """Return a hidden sensor whose band the library covers."""
     random = np.random.default_rng([number, 5])
     sensor = replace(
         drawn(random), bore=2 * tool.radius * random.uniform(0.997, 1.003),
@@ -162,7 +162,7 @@ def simulated(rangefinder: Rangefinder, tool: Tool, air: float, random, reflecto
 
 
 def drawn_presses(n, random):
-    """Return random places and depths in m."""
+    """Return random positions and depths in m."""
     return random.uniform(*REACH, n), random.uniform(*DEPTHS, n)
 
 

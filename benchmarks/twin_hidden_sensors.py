@@ -1,10 +1,10 @@
-"""Are the parameters of hidden sensors within the intervals that a twin states?
+"""Coverage of the parameters of hidden sensors by the intervals that a twin states.
 
-Sensors are drawn wide and recorded on a path of their own: drive and transducer in the time domain
-at 3.2 MHz, Kirchhoff's asymptotic losses of a wide tube in place of Zwikker and Kosten's, a
-temperature that varies along the tube, clutter at random places that weakens what passes it,
-closures with levels and places that scatter, a trigger that jitters, a gain that wanders, a
-decimating filter, 8 to 16 bits. Every sensor is a row of a CSV file; rows that are there are not
+Random sensors of a wide range are recorded by independent code: drive and transducer in the time
+domain at 3.2 MHz, Kirchhoff's asymptotic losses of a wide tube instead of Zwikker and Kosten's, a
+temperature that varies along the tube, clutter at random positions that attenuates transmitted
+sound, closures of random levels and positions, a trigger with jitter, a gain that varies, a
+decimating filter, 8 to 16 bits. Every sensor is a row of a CSV file; existing rows are not
 computed again.
 
 Usage: python benchmarks/twin_hidden_sensors.py out.csv --count 40
@@ -38,7 +38,7 @@ N90 = 1.645
 
 @dataclass
 class Hidden:
-    """A sensor on its bench: SI units, temperatures in degC."""
+    """A sensor under test: SI units, temperatures in degC."""
 
     bore: float
     resonance: float
@@ -81,12 +81,12 @@ def drawn(random: np.random.Generator) -> Hidden:
 
 
 class Bench:
-    """A hidden sensor's voltages, computed in the time domain but for the way of the sound."""
+    """Voltages of a hidden sensor, in the time domain except for the propagation."""
 
     def __init__(self, sensor: Hidden, random: np.random.Generator) -> None:
         self.sensor, self.random = sensor, random
         self.n = int(SAMPLES / RATE * FINE)
-        # A square wave is the slope of a triangle; of its means over the samples.
+        # A square wave, averaged over the samples, as the derivative of a triangle wave.
         turns = np.clip(np.arange(self.n + 1) * sensor.carrier / FINE, 0, sensor.cycles)
         triangle = 0.5 - np.abs(turns % 1 - 0.5)
         drive = np.diff(triangle) * FINE / sensor.carrier
@@ -109,7 +109,7 @@ class Bench:
         s, omega = self.sensor, 2 * np.pi * f[:, None]
         kelvin = s.air + 273.15
         mean = np.asarray(place)[None]
-        # Slowness integrated over a line of temperatures, whose mean is at half the tube.
+        # Slowness integrated over a linear temperature, whose mean is at half the tube.
         ends = kelvin - s.gradient * LENGTH / 2, s.gradient
         c0 = np.sqrt(1.4 * 287.05)
         if abs(s.gradient) > 1e-9:
@@ -126,7 +126,7 @@ class Bench:
         return np.exp(-2 * (1j * omega * total + ((1 + 1j) * rough + damp) * mean))
 
     def volts(self, place: float | None) -> np.ndarray:
-        """Return the voltage at :data:`FINE`, without noise; of the open tube for None."""
+        """Return the voltage at :data:`FINE`, without noise; for None, of the open tube."""
         s = self.sensor
         spectrum = np.fft.rfft(self.heard, 2 * self.n)
         inside = slice(0, int(80e3 / FINE * 2 * self.n))

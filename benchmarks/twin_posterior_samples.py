@@ -1,11 +1,11 @@
-"""Laplace's approximation of a twin's posterior against samples of it.
+"""Laplace's approximation of a twin's posterior, against samples of the posterior.
 
-The posterior of a hidden sensor of `twin_hidden_sensors.py`, with the scatter of places, levels and
-correction unknown, is sampled with the model as it is, not linearised. Gibbs: the scatters, given
+The posterior of a hidden sensor of `twin_hidden_sensors.py`, with unknown scatter of positions,
+levels and correction, is sampled with the nonlinear model. Gibbs sampling: the scatters, given
 the parameters, are independent and drawn on their grids; the parameters, given the scatters, by
-Metropolis and Hastings' rule from proposals that leave the linearised posterior of those scatters
-invariant (autoregressive, of random width), and by jumps to independent draws of Laplace's
-posterior, scatters included, which only the model's curvature rejects. The chains start at the
+the Metropolis-Hastings rule from proposals that leave the linearised posterior for those scatters
+invariant (autoregressive, of random width), and by jumps to independent samples of Laplace's
+posterior, including scatters, which only the model's curvature rejects. The chains start at the
 maximum.
 
 Usage: python benchmarks/twin_posterior_samples.py --sensor 3 --steps 4000
@@ -63,7 +63,7 @@ class Target:
         self.centre = self.joined(twin.point)
 
     def joined(self, point):
-        """Return parameters as a vector."""
+        """Return the parameters as a vector."""
         return np.concatenate([point.shared, point.local.ravel()])
 
     def point(self, x):
@@ -152,7 +152,7 @@ def chain(target, steps, random):
         found = target.misfit(trial)
         if np.log(random.random()) < 0.5 * (excess(x, misfit) - excess(trial, found)):
             x, misfit, accepted = trial, found, accepted + 1
-        # A jump to another draw of Laplace's posterior: only the curvature decides.
+        # A jump to another sample of Laplace's posterior: only the curvature rejects it.
         mean, factor, scale = target.linearised(cases[random.choice(len(cases), p=share)])
         trial = mean + scale * np.linalg.solve(factor.T, random.normal(size=len(x)))
         found = target.misfit(trial)
@@ -165,7 +165,7 @@ def chain(target, steps, random):
 
 
 def effective(chains):
-    """Return the effective number of samples of (n_chains, n), by the autocorrelation."""
+    """Return the effective number of samples of (n_chains, n), from the autocorrelation."""
     n, total = chains.shape[1], 0.0
     centred = chains - chains.mean()
     spectrum = np.abs(np.fft.rfft(centred, 2 * n, axis=1)) ** 2

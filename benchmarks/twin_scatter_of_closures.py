@@ -1,11 +1,11 @@
-"""What scatters the closures of a calibration by 36 mm, and distances by 5 cm, as published?
+"""Which effects explain the published scatter of closures, 36 mm, and of distances, 5 cm?
 
 The sleeve paper's calibration (37 closures, a line through their distances) and its flat study
-(presses of a 25 mm rod at random places of 0.2 to 2.1 m and depths of 1 to 8 mm, highest peak), of
-the simulated rangefinder with one effect at a time, in several sizes, and with several at once. An
-explanation, not a measurement: the figures state which effects could do it, and how large they
-would have to be. The scattering is that of a library of the rod. Every case is a row of a CSV file;
-rows that are there are not computed again.
+(presses of a 25 mm rod at random positions of 0.2 to 2.1 m and depths of 1 to 8 mm, highest peak)
+are simulated with one effect at a time, in several sizes, and with several at once. This is a
+hypothesis, not a measurement: the results state which effects could explain the scatter, and how
+large they would have to be. The scattering is that of a library of the rod. Every case is a row of
+a CSV file; existing rows are not computed again.
 
 Usage: python benchmarks/twin_scatter_of_closures.py LIBRARY out.csv
 """
@@ -41,7 +41,7 @@ TUBE = 7
 
 @dataclass(frozen=True)
 class Bench:
-    """What differs from the simulated bench: standard deviations in SI units."""
+    """Differences from the simulated bench: standard deviations in SI units."""
 
     own: Rangefinder = field(default_factory=Rangefinder)
     placement: float = 0.0
@@ -54,7 +54,7 @@ class Bench:
 
 
 def usual(**changes):
-    """Return the default bench with another rangefinder."""
+    """Return the default bench with changes of the rangefinder."""
     return Bench(replace(Rangefinder(), **changes))
 
 
@@ -90,10 +90,10 @@ class Recorder:
         self.random = np.random.default_rng(22)
 
     def cycles(self, kind, place, depth, n):
-        """Return cycles of a closure, a press or the open tube at a stated place."""
+        """Return cycles of a closure, a press or the open tube at a stated position."""
         b, self.number = self.bench, self.number + 1
         true = place + self.random.normal(0, b.placement) + b.zero * (kind == "press")
-        # The mean over the way of a temperature that varies along the tube.
+        # The mean along the path of a temperature that varies along the tube.
         air = AIR + self.random.normal(0, b.warmth) + b.gradient * (true - LENGTH) / 2
         late = abs(self.random.normal(0, b.late))
         presses = []
@@ -111,7 +111,7 @@ class Recorder:
 
 
 def weakened(closed, level):
-    """Return a closure that reflects a part and lets the rest of the power through."""
+    """Return a closure that reflects a part and transmits the rest of the power."""
     s = closed.scattering.s.copy()
     for port in (0, 1):
         s[:, port, 0, port, 0] = level
@@ -133,7 +133,7 @@ def row_of(effect, size, unit, bench, tool):
                                   untouched_temperature=AIR, sigmas=bench.sigmas)  # fmt: skip
     except ValueError as error:
         return row | {"closures": f"not calibrated: {error}"}
-    # The highest peak of the whole window, as published, without a window about each place.
+    # The highest peak of the whole window, as published, without a window about each position.
     told = signals.locate(axis, closed, known.processing, temperature=AIR).distance
     seen = np.isfinite(told)
     line = np.polyval(np.polyfit(places[seen], told[seen], 1), places[seen])

@@ -1,8 +1,8 @@
-"""Do the whole tube, marched, and its press joined to straight tube give the same recording?
+"""Do a march of the whole tube and a scattering matrix in straight tube give the same recording?
 
 The default tube of 40 cm with a 25 mm rod in its middle. Each row: losses, source end, difference
-of the two recordings over the norm of the first (all of it, and behind the pulse), and the seconds
-that each took. Takes some minutes: ``python benchmarks/whole_tube_or_scattering.py [RESOLUTION]``.
+of the two recordings over the norm of the first (in total, and behind the pulse), and the time in s
+of each. Takes some minutes: ``python benchmarks/whole_tube_or_scattering.py [RESOLUTION]``.
 """
 
 from __future__ import annotations

@@ -18,13 +18,13 @@ TIME = np.arange(PULSE_WIDTH_BYTES, FRAME_BYTES) / RATE
 
 
 def burst(delay, time):
-    """A Gaussian pulse as the transducer sends it, its middle `delay` after that of the first."""
+    """Gaussian pulse as the transducer sends it, `delay` after the send pulse."""
     since = time - PULSE_LENGTH / 2 - np.asarray(delay)[..., np.newaxis]
     return np.exp(-0.5 * (since / (PULSE_LENGTH / 6)) ** 2) * np.sin(2 * np.pi * CARRIER * since)
 
 
 def cycles_at(distances, noise=0.01, seed=0, time=TIME):
-    """Unsigned 8-bit samples of a send pulse and an echo, with noise of one count."""
+    """Unsigned 8-bit cycles with a send pulse and an echo each, and noise of one count."""
     distances = np.atleast_1d(distances)
     clean = burst(np.zeros(1), time) + 0.3 * burst(2 * distances / SPEED, time)
     hiss = np.random.default_rng(seed).normal(scale=noise, size=clean.shape)
@@ -46,7 +46,7 @@ class Board:
     port : str
         Name of the line.
     stopped : threading.Event
-        Set to end what is being sent.
+        Set to stop the sending thread.
     """
 
     def __init__(self):
@@ -69,7 +69,7 @@ class Board:
 
     @contextlib.contextmanager
     def sending(self, send):
-        """Call a function with this board in a thread, ended in the end, and then cut the cable."""
+        """Run a function with this board in a thread while the block runs, then close the line."""
         thread = threading.Thread(target=send, args=(self,), daemon=True)
         thread.start()
         try:
@@ -80,7 +80,7 @@ class Board:
             self.cut()
 
     def cut(self):
-        """Pull the cable, once."""
+        """Close the board's end of the line, once, as when the cable is pulled."""
         ends, self.ends = self.ends, ()
         for end in ends:
             with contextlib.suppress(OSError):

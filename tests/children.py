@@ -1,4 +1,4 @@
-"""The child process that reads files, without a package that is installed."""
+"""The child process that reads files, made to lack an installed package."""
 
 import sys
 
@@ -6,7 +6,7 @@ from acoustube.base.foreign import child
 
 
 def without(monkeypatch, package, folder):
-    """Let the child find a package that cannot be imported; a new child is started for it."""
+    """Make a package unimportable for the child process; a new child is started for it."""
     child._end()
     (folder / f"{package}.py").write_text("raise ImportError")
     monkeypatch.syspath_prepend(folder)

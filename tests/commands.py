@@ -1,4 +1,4 @@
-"""The command line, as a process of its own or in that of the tests."""
+"""Run the command line, either in its own process or in that of the tests."""
 
 import os
 import subprocess
@@ -14,7 +14,7 @@ COMMAND = str(Path(sys.executable).with_name("acoustube"))
 
 
 def run_process(*words, **environment):
-    """Run the installed command in the current folder."""
+    """Run the installed command in its own process, in the current folder."""
     return subprocess.run(
         [COMMAND, *map(str, words)],
         capture_output=True,
@@ -26,7 +26,7 @@ def run_process(*words, **environment):
 
 
 def run_here(*words, **environment):
-    """Run the same in this process, without the second or two in which it loads."""
+    """Run the command in this process, which saves the one or two seconds of loading it."""
     out, error = StringIO(), StringIO()
     with patch.dict(os.environ, environment), redirect_stdout(out), redirect_stderr(error):
         code = main([str(word) for word in words])

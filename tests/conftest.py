@@ -28,7 +28,7 @@ compile_quickly()  # as the command line does
 
 
 def pytest_report_header():
-    """Tell which acoustube is tested: the checkout or an installed wheel."""
+    """Report which acoustube is tested: the checkout or an installed wheel."""
     import acoustube
 
     return f"acoustube {acoustube.__version__} of {Path(acoustube.__file__).parent}"
@@ -58,15 +58,13 @@ def _in_empty_folder(tmp_path, monkeypatch):
 
 @pytest.fixture(autouse=True)
 def _as_a_new_process(monkeypatch):
-    """Forget which results of earlier tests the cache has kept, which the advice for a full disk
-    tells of.
-    """
+    """Forget which results are in the cache: the advice on a full disk lists them."""
     monkeypatch.setattr(cache, "_KEPT", set())
 
 
 @pytest.fixture
 def double_precision():
-    """Compute walls as presses are computed: in float64, and with sums in a fixed order."""
+    """Compute as presses are computed: in float64, and with sums in a fixed order."""
     import jax
     from threadpoolctl import threadpool_limits
 

@@ -45,9 +45,9 @@ def classical_absorption(frequency, air):
 
 
 def rectangular(frequency, width, height, air, terms=400):
-    """Return the wavenumbers in 1/m of the plane mode of a rectangular duct.
+    """Return the wavenumbers in 1/m of the plane mode of a rectangular duct with losses.
 
-    The pressure is taken as even across it.
+    The pressure is assumed uniform over the cross-section.
 
     Stinson, M. R. (1991), Journal of the Acoustical Society of America 89, 550-558.
     """

@@ -1,7 +1,7 @@
-"""Labelled cycles of a sensor that is easy to read: presses that reflect more the deeper they are.
+"""Labelled cycles of a synthetic sensor whose presses reflect more the deeper they are.
 
-The reflection of a press is a smooth function of frequency whose level and tilt tell its depth; the
-record is :func:`acoustube.ranging.record`'s, with noise and weak clutter.
+The reflection of a press is a smooth function of frequency, of which level and tilt depend on the
+depth; the record is made by :func:`acoustube.ranging.record`, with noise and weak clutter.
 """
 
 from dataclasses import replace

@@ -33,7 +33,7 @@ def half_square(n):
 
 
 def extruded(n, heights):
-    """Return hexahedra of the half square times intervals of height."""
+    """Return hexahedra: the half square extruded over intervals of height."""
     whole = None
     for block in half_square(n):
         i, j = (np.arange(float(size)) for size in block.shape[:2])
@@ -173,9 +173,9 @@ def scattered(wall, frequencies, sound_speed, n, step):
 
 
 def extrapolated(wall, frequencies, sound_speed, meshes):
-    """Return R00 and T00 from two meshes (n, step) by their order of convergence, four.
+    """Return R00 and T00 extrapolated from two meshes (n, step), with order four.
 
-    Also how much the extrapolation changes the finer mesh's values, (n_frequencies,).
+    Also return how much the extrapolation changes the values of the finer mesh, (n_frequencies,).
     """
     coarse, fine = (scattered(wall, frequencies, sound_speed, *mesh)[:2] for mesh in meshes)
     gain = (meshes[0][1] / meshes[1][1]) ** 4 - 1

@@ -6,7 +6,7 @@ from acoustube.base.errors import ConfigError
 
 
 def refused(call, **fields):
-    """Return the error of a call, which has the given fields and says its own value."""
+    """Return the error of a call, which must have the given fields and state its value."""
     with pytest.raises(ConfigError) as caught:
         call()
     error = caught.value

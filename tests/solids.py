@@ -15,7 +15,7 @@ HEXAHEDRA_AT_4_MM = 2.1159
 
 
 class OpenLumen:
-    """A lumen whose walls do not feel each other."""
+    """A lumen whose walls have no contact with each other."""
 
     def energy_and_forces(self, position):
         return 0.0, np.zeros_like(position)
@@ -38,12 +38,12 @@ def mooney_rivlin_solid(c1, c2, bulk_modulus):
 
 
 def bare_model(mesh, material, fixed):
-    """Return a model of nothing but the wall and what touches it from outside."""
+    """Return a model of the wall and the bodies outside it, without contact in the lumen."""
     return build_model(mesh, material, fixed, OpenLumen())
 
 
 def nodal_forces(mesh, material, displacement):
-    """Return what has to act on every node (n_nodes, 3), in N, to hold these displacements."""
+    """Return the forces on all nodes (n_nodes, 3), in N, in equilibrium with displacements."""
     everywhere = bare_model(mesh, material, np.zeros(mesh.points.shape, bool))
     return evaluate(everywhere, displacement, ()).gradient.reshape(-1, 3)
 

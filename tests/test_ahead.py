@@ -1,4 +1,4 @@
-"""Code that is compiled in the background is the code that is called later."""
+"""Functions that are compiled in the background are those that a press or a march calls later."""
 
 import threading
 
@@ -19,7 +19,7 @@ from acoustube.waves.scheme.problem import prepare
 
 @pytest.fixture
 def types_of_calls(monkeypatch):
-    """A function that runs another, and returns the types with which a compiled one is called."""
+    """A function that runs another one, and returns the argument types of each compiled call."""
 
     def found(module, name, run):
         kernel, types = getattr(module, name), set()

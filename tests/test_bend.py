@@ -1,4 +1,4 @@
-"""Bends: against finite elements in three dimensions, closed forms and what is conserved."""
+"""Scattering by bends, against finite elements, closed forms and conservation laws."""
 
 import csv
 from pathlib import Path
@@ -28,7 +28,7 @@ WRAP = {"bend_radius": 0.04, "angle": 2 * np.pi, "torsion": 3.4}
 
 
 def reference():
-    """By frequency and mode, R and T of the plane mode (bend_reference.py wrote them)."""
+    """R and T of the plane mode by frequency and mode, as written by bend_reference.py."""
     with (Path(__file__).parent / "data" / "bend.csv").open() as file:
         return [
             (
@@ -84,7 +84,7 @@ def test_straight_limit_is_the_straight_bore(lossy):
     assert found.s[:, 1, :, 0] == pytest.approx(straight, abs=1e-4)
 
 
-def test_curvature_that_fades_couples_in_proportion():
+def test_coupling_is_proportional_to_a_small_curvature():
     weak, strong = (
         bend(AIR, [42e3], radius=RADIUS, bend_radius=r, angle=0.02 / r, lossy=False).s[
             0, 1, 1, 0, 0
@@ -101,17 +101,18 @@ def test_twisted_straight_bore_turns_its_modes_by_the_torsion():
     )
     c, s = found.modes.index("11c"), found.modes.index("11s")
     path = np.exp(-0.05j * axial_wavenumber(1, 1, 42e3, RADIUS, AIR, lossy=False))
-    # A pattern that keeps its direction falls back behind axes that turn on.
+    # A field that keeps its orientation rotates backwards relative to axes that turn.
     turned = path * np.array([np.cos(turn), -np.sin(turn)])
     assert found.s[0, 1, [c, s], 0, c] == pytest.approx(turned, abs=1e-4)
 
 
 def test_long_waves_travel_faster_by_the_square_root_of_the_lighter_air():
-    """Steady flow turns as a vortex, u = 1 / h: its inertia is less by the mean of 1 / h.
+    """The phase of a long wave in a bend is compared with that of Keefe and Benade's inertance.
 
-    That is 2 (1 - sqrt(1 - b^2)) / b^2 with b the bore's radius over the bend's; the compliance is
-    that of the straight bore (Keefe and Benade, J. Acoust. Soc. Am. 74, 320, 1983). The ends' share
-    goes with the difference of two bends.
+    In the limit of low frequency the flow in a bend is a vortex, u = 1 / h, so that its inertance
+    is smaller by the mean of 1 / h, which is 2 (1 - sqrt(1 - b^2)) / b^2 with b the bore's radius
+    over the bend's. The compliance is that of the straight bore (Keefe and Benade, J. Acoust. Soc.
+    Am. 74, 320, 1983). The contribution of the ends cancels in the difference of two bends.
     """
     b, f = 0.4, np.array([20.0])
     k = 2 * np.pi * f[0] / AIR.sound_speed
@@ -123,7 +124,7 @@ def test_long_waves_travel_faster_by_the_square_root_of_the_lighter_air():
         )
         for angle in (4.0, 8.0)
     ]
-    # T of a short piece turns by the mean of what inertia and compliance do.
+    # The phase of T of a short piece is the mean of the changes by inertance and by compliance.
     length = 4.0 * RADIUS / b
     lighter = 2 * (1 - np.sqrt(1 - b**2)) / b**2
     gained = (phase[1] - phase[0]) / (k * length) + 1
@@ -131,10 +132,11 @@ def test_long_waves_travel_faster_by_the_square_root_of_the_lighter_air():
 
 
 def test_two_halves_of_a_bend_make_the_whole_in_a_cascade():
-    """At 20 kHz only the plane mode travels, and a cascade leaves out the near fields of two ends.
+    """A bend equals its halves in a cascade, at 20 kHz, where only the plane mode propagates.
 
-    Those of the halves cancel each other in the whole; each is of the size of what an end of this
-    bend reflects, 2e-3.
+    A cascade leaves out the evanescent fields of the two ends that meet, which would cancel in the
+    whole bend. Each is of the size of the reflection at one end of this bend, 2e-3; the tolerance
+    is twice that.
     """
     f = np.arange(18e3, 22e3, 100.0)
     sizes = {"radius": RADIUS, "bend_radius": 0.04, "lossy": False}
@@ -161,7 +163,7 @@ def test_two_halves_of_a_bend_make_the_whole_in_a_cascade():
 
 
 def test_parts_of_one_curvature_make_one_bend():
-    """To rounding: the parts are joined with all their modes, near fields included."""
+    """Parts of equal curvature, joined with all modes, equal the whole to rounding."""
     part = {"curvature": 25.0, "torsion": 3.4, "ovality": 0.05}
     lengths = (0.03, 0.11, 0.06)
     parts = joined_bends(AIR, BAND, [Bent(length=n, **part) for n in lengths], radius=RADIUS)
@@ -172,7 +174,10 @@ def test_parts_of_one_curvature_make_one_bend():
 
 @pytest.mark.parametrize("side", ["c", "s"])
 def test_flattened_straight_bore_delays_its_modes_as_their_cut_ons_move(side):
-    """The phase of (1,1) over 5 cm; an ovality of 1 % leaves what is of second order under 1 %."""
+    """The phase of (1,1) over 5 cm follows its shifted cut-on, within 1 % of the change.
+
+    The ovality is 1 %: terms of second order in it are below 1 % of the change.
+    """
     f, length, ovality = 42e3, 0.05, 0.01
     found = joined_bends(
         AIR,
@@ -193,7 +198,7 @@ def test_flattened_straight_bore_delays_its_modes_as_their_cut_ons_move(side):
     assert found.s[0, 1, 1, 0, 1] == pytest.approx(np.exp(-1j * k * f * length), abs=1e-9)
 
 
-def test_flattening_that_is_none_is_refused():
+def test_bent_part_of_length_zero_is_refused():
     refused(lambda: Bent(length=0.0, curvature=1.0), setting="length", value=0.0)
 
 

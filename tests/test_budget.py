@@ -1,4 +1,4 @@
-"""The error budget that is printed with a run, against what runs measure."""
+"""The error budget that is printed with a run, against errors measured in runs."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ PULSE = Pulse(frequency=42e3)
 
 
 def measured_bias(resolution):
-    """Slope of the phase from 41 to 43 kHz between two planes of a straight tube."""
+    """Relative error of the slope of the phase from 41 to 43 kHz over a straight tube."""
     spacing = grid_spacing(2 * BORE, resolution)
     cells = cut_cells(straight_tube(0.24, sections=64), spacing, half=True)
     recording = propagate(
@@ -39,7 +39,7 @@ def measured_bias(resolution):
 
 @pytest.mark.parametrize("resolution", [8, 12])
 def test_bias_of_the_group_delay_is_the_measured_one(resolution):
-    """2e-3 and 3e-4, within a twentieth; the rest is the pulse's finite band."""
+    """2e-3 and 3e-4 agree within 5 %; the rest is the pulse's finite band."""
     measured, stated = measured_bias(resolution)
     assert abs(stated) > 1e-4
     assert measured == pytest.approx(stated, rel=0.05)
@@ -54,8 +54,11 @@ def test_bias_falls_with_the_fourth_order():
     assert np.log2(biases[1] / biases[2]) == pytest.approx(4, abs=0.1)
 
 
-def test_budget_tells_the_errors_of_its_grid():
-    """A bore of 64 facets has 0.16 % less area, and cut-ons higher by half of that."""
+def test_budget_states_the_errors_of_its_grid():
+    """The stated errors of area and cut-on are those of a polygon of 64 facets.
+
+    Its area is 0.16 % smaller than the circle's, and its cut-ons are higher by half of that.
+    """
     cells = cut_cells(straight_tube(0.01, sections=64), 2 * BORE / 32, half=True)
     pressure = np.ones((1, 1000))
     pressure[:, 900:] = 1e-2
@@ -75,7 +78,7 @@ def test_budget_tells_the_errors_of_its_grid():
 
 
 def returned(lossy_band):
-    """What an absorbing end returns of (2,1), 1 % over its cut-on and 2 cm before it, in dB."""
+    """Reflection in dB of (2,1) by an absorbing end, 1 % above cut-on, 2 cm before the end."""
     cut_on = section_cut_ons(
         cut_cells(straight_tube(0.02, sections=256), 2 * BORE / 12, half=True),
         3,
@@ -101,7 +104,10 @@ def returned(lossy_band):
     ("lossy_band", "stated"), [(None, absorber_reflection()), ((20e3, 60e3), LOSSY_REFLECTION)]
 )
 def test_absorbing_end_returns_no_more_than_is_stated(lossy_band, stated):
-    """Of a mode 1 % over its cut-on; the path of 4 cm takes some of it too, with losses 10 dB."""
+    """The reflection of a mode 1 % above its cut-on is at most 3 dB above the stated one.
+
+    The path of 4 cm attenuates it as well, with losses by 10 dB.
+    """
     assert returned(lossy_band) < stated + 3.0
 
 

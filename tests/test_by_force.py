@@ -1,4 +1,4 @@
-"""Presses by force: against the path that they are read from, and against a rigid floor."""
+"""Presses by force, against the load path of the interpolation and a rigid floor."""
 
 import dataclasses
 
@@ -32,13 +32,16 @@ def on_a_floor():
 
 
 def test_forces_of_the_path_give_back_its_depths(on_an_arm):
-    """To rounding: an interpolant passes through its nodes."""
+    """Depths at the path's own forces, the nodes of the interpolant, agree to rounding."""
     found = by_force(on_an_arm, on_an_arm.contact_force)
     assert found.depth == pytest.approx(on_an_arm.depth, abs=1e-12)
 
 
 def test_press_solved_at_the_depth_that_a_force_gives_bears_it_within_the_stated_error(on_an_arm):
-    """At 1.3 N, between rows: within the estimate, which is 2e-3 of the force at most."""
+    """A press to the interpolated depth for 1.3 N has this force within the estimate.
+
+    The estimate is at most 2e-3 of the force.
+    """
     found = by_force(on_an_arm, 1.3)
     assert float(found.depth) not in on_an_arm.depth
     assert 0 < float(found.force_error) < 2e-3 * 1.3
@@ -47,7 +50,7 @@ def test_press_solved_at_the_depth_that_a_force_gives_bears_it_within_the_stated
 
 
 def test_error_is_zero_at_rows_and_forces_keep_their_order_and_shape(on_an_arm):
-    """In any order and repeatedly: each entry is that of its force alone."""
+    """Forces in any order, some repeated: each result is that of its force alone."""
     force = np.array([[1.3, 0.4, on_an_arm.contact_force[5]], [0.0, 1.3, 0.9]])
     found = by_force(on_an_arm, force)
     for name in ("depth", "closing", "sinking", "lumen_area", "force_error"):
@@ -59,7 +62,10 @@ def test_error_is_zero_at_rows_and_forces_keep_their_order_and_shape(on_an_arm):
 
 
 def test_travel_is_closing_and_sinking_and_a_little_of_the_wall(on_an_arm):
-    """The wall under the tool and over the ground is squeezed by less than a tenth of itself."""
+    """Depth less closing and sinking is the wall's compression, at most a fifth of it.
+
+    The wall under the tool and the wall over the ground are each compressed by less than a tenth.
+    """
     found = by_force(on_an_arm, [0.5, 1.0, 1.5, 2.0])
     squeezed = found.depth - found.closing - found.sinking
     assert np.all((squeezed > 0) & (squeezed < 0.2 * Tube().wall_thickness))
@@ -68,7 +74,10 @@ def test_travel_is_closing_and_sinking_and_a_little_of_the_wall(on_an_arm):
 
 @pytest.mark.slow
 def test_stiff_layer_is_a_rigid_floor(on_a_floor):
-    """A layer of 0.5 GPa gives by a micrometre; 0.3 % is what the contact's smoothing leaves."""
+    """A press on a layer of 0.5 GPa is compared with one on a rigid floor.
+
+    The layer yields by a micrometre; 0.3 % is the effect of the contact's smoothing.
+    """
     stiff = pressed([1e-3, 2e-3, 3e-3], Layer(thickness=5e-3, modulus=0.5e9))
     forces = [0.3, 0.7, 1.1]
     here, there = by_force(stiff, forces), by_force(on_a_floor, forces)
@@ -78,7 +87,10 @@ def test_stiff_layer_is_a_rigid_floor(on_a_floor):
 
 
 def test_soft_arm_takes_more_travel_and_less_of_the_lumen(on_an_arm, on_a_floor):
-    """At the same force: the ground gives way, and bears the tube along more of its length."""
+    """At the same force the tool travels farther on a soft ground and closes the lumen less.
+
+    The ground yields, and supports the tube over a greater length.
+    """
     soft, hard = by_force(on_an_arm, 1.0), by_force(on_a_floor, 1.0)
     assert soft.depth > 1.5 * hard.depth
     assert 0.6 * hard.closing < soft.closing < hard.closing
@@ -97,7 +109,7 @@ def test_force_that_falls_is_refused(on_a_floor):
 
 
 def test_depths_too_far_apart_are_refused(on_a_floor):
-    """A press guided by a coarse mesh has the rows asked for only."""
+    """A press guided by a coarse mesh has rows at the requested depths only, here 3 mm apart."""
     rows = [0, len(on_a_floor.depth) - 1]
     results = {name: values[rows] for name, values in on_a_floor.results.items()}
     with pytest.raises(ConfigError, match=r"depths 3 mm apart.*at most 0\.658 mm apart"):

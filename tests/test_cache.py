@@ -1,4 +1,4 @@
-"""Remembered results: found again, never trusted when damaged, listed and cleared."""
+"""Cached results are found again, are ignored when damaged, and can be listed and cleared."""
 
 import os
 import resource
@@ -47,14 +47,14 @@ def test_entry_that_was_cut_short_counts_as_missing_and_is_replaced(kept):
 
 
 def test_entry_whose_content_changed_counts_as_missing():
-    """A flipped byte anywhere, or an archive that somebody else wrote."""
+    """Entries with a flipped byte anywhere, or written by another program, are not returned."""
     cache.store("a", ARRAYS)
     path = cache.folder() / "a.npz"
     good = path.read_bytes()
     for place in range(0, len(good), 37):
         path.write_bytes(good[:place] + bytes([good[place] ^ 1]) + good[place + 1 :])
         found = cache.recall("a")
-        # A byte of the archive's own bookkeeping may not matter; then the content is what it was.
+        # A byte of the archive's own headers may not matter; then the content is unchanged.
         assert found is None or all(np.array_equal(found[n], ARRAYS[n]) for n in ARRAYS)
     np.savez(path, depth=np.zeros(3))
     assert cache.recall("a") is None
@@ -97,7 +97,7 @@ MODULES = {
 
 @pytest.fixture
 def package(tmp_path):
-    """Modules that import one another, of which none can be imported without a trace."""
+    """A package of modules that import one another; importing any of them leaves a trace."""
     folder = tmp_path / "package"
     for name, text in MODULES.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -110,7 +110,7 @@ def digest(package):
 
 
 def changed(package, name, old, new):
-    """Tell whether an edit changes the digest."""
+    """Return whether an edit of a module changes the digest."""
     before, path = digest(package), package / name
     text = path.read_text()
     assert not old or old in text
@@ -144,7 +144,7 @@ def test_digest_changes_with_the_code_of_an_imported_module(package, name, old, 
         ("apart.py", "imported", "read"),
     ],
 )
-def test_digest_keeps_with_prose_and_modules_apart(package, name, old, new):
+def test_digest_ignores_prose_and_modules_not_imported(package, name, old, new):
     assert not changed(package, name, old, new)
 
 
@@ -176,7 +176,7 @@ def test_digest_of_a_module_that_is_gone_fails(package):
     ],
 )
 def test_every_stage_of_a_result_counts_in_its_key(kind, module, tmp_path):
-    """Changed in a copy of the package: what is hashed there is what is hashed here."""
+    """A module is changed in a copy of the package; the digest of the copy must change."""
     root = Path(acoustube.__file__).parent
     copied = tmp_path / "acoustube"
     shutil.copytree(root, copied, ignore=shutil.ignore_patterns("__pycache__"))
@@ -197,7 +197,7 @@ print(float(jax.jit(lambda x: x + 1)(1.0)), jax.config.jax_compilation_cache_dir
 
 
 def compiling(largest_file=resource.RLIM_INFINITY, **environment):
-    """Compile in a process of its own, without the tests' folder for compiled code."""
+    """Compile a function in its own process, without the tests' folder for compiled code."""
 
     def limit():
         resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, largest_file))
@@ -217,7 +217,7 @@ def compiling(largest_file=resource.RLIM_INFINITY, **environment):
 
 
 @pytest.mark.slow
-def test_compiled_code_is_kept_and_damaged_files_are_no_matter():
+def test_compiled_code_is_cached_and_damaged_files_are_ignored():
     kept = Path(compiling())
     assert kept.parent == cache.folder()
     first = {entry.path.name for entry in cache.compiled()}
@@ -233,7 +233,7 @@ def test_compiled_code_is_kept_and_damaged_files_are_no_matter():
 
 @pytest.mark.slow
 def test_compiling_needs_no_cache(tmp_path):
-    """Where it cannot be written, is full, is a file, and where the user has chosen another."""
+    """With a cache that is read-only, full, a file, or another one chosen by the user."""
     compiling(ACOUSTUBE_CACHE="/proc/nothing/there")
     compiling(largest_file=100, ACOUSTUBE_CACHE=str(tmp_path / "full"))
     assert all(file.stat().st_size <= 100 for file in (tmp_path / "full").rglob("*-cache"))
@@ -261,7 +261,7 @@ def test_entries_are_listed_sized_and_cleared():
     assert list(cache.folder().iterdir()) == [foreign]
 
 
-def test_folder_that_cannot_be_written_only_forgets(tmp_path, monkeypatch):
+def test_read_only_folder_disables_the_cache_without_an_error(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("ACOUSTUBE_CACHE", str(tmp_path / "file" / "cache"))
     cache.store("a", ARRAYS)
@@ -270,7 +270,7 @@ def test_folder_that_cannot_be_written_only_forgets(tmp_path, monkeypatch):
 
 
 def test_press_is_computed_once_for_all_frequencies(monkeypatch):
-    """And again for another depth, another tube, or when its entry is damaged."""
+    """A press is computed again only for another depth or tube, or when its entry is damaged."""
     calls = []
 
     def counted(*arguments, **options):

@@ -1,4 +1,4 @@
-"""Calibrations from cycles whose fall, line and noise are known."""
+"""Calibrations from synthetic cycles whose attenuation, distance line and noise are known."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ SPEED = float(speed_of_sound(20.0))
 
 
 def blocked(places=PLACES, noise=NOISE, seed=0):
-    """Cycles of closures whose echoes come late and fall as an arctangent."""
+    """Cycles of closures whose echoes are delayed and whose amplitude falls as an arctangent."""
     delay = 2 * (SLOPE * places + INTERCEPT) / SPEED
     clean = burst(np.zeros(1)) + arctan_fall(places, *FALL)[:, None] * burst(delay)
     return OFFSET + 1500 * (clean + np.random.default_rng(seed).normal(0, noise, clean.shape))
@@ -33,16 +33,16 @@ def calibration():
 
 
 def test_all_parameters_are_recovered_within_their_deviations(calibration):
-    """111 cycles with noise: within four of the stated deviations, which are small, and 1 %.
+    """Fits of 111 noisy cycles are within four stated deviations and 1 % of the truth.
 
-    So much is the ripple that the rectified carrier's overtones leave at 200 kHz.
+    The 1 % is the ripple that the overtones of the rectified carrier leave at 200 kHz.
     """
     for name, true in zip(("c1", "c2", "c3", "c4"), FALL, strict=True):
         estimate = getattr(calibration, name)
         assert abs(estimate.value - true) < 4 * estimate.deviation + 0.01 * abs(true), name
         assert estimate.deviation < 0.05 * abs(true), name
     assert abs(calibration.slope.value - SLOPE) < 4 * calibration.slope.deviation + 1e-4
-    # The gain rises under an echo, and moves its maximum by a few tenths of a millimetre.
+    # The gain rises over the length of an echo, and shifts its maximum by tenths of a millimetre.
     assert abs(calibration.intercept.value - INTERCEPT) < 4 * calibration.intercept.deviation + 5e-4
     assert calibration.distance_rmse < 1e-3
     assert calibration.amplitude_rmse < 5e-3
@@ -58,9 +58,10 @@ def test_shifted_send_time_moves_the_line_through_zero_and_keeps_its_slope(calib
 
 
 def test_prominence_is_that_of_untouched_cycles(calibration):
-    """2.8 deviations, on the scale of the envelope; they grow with the noise.
+    """The prominence is 2.8 deviations of untouched cycles, on the scale of the envelope.
 
-    White noise passes them in most cycles, and eight of them hardly ever.
+    It is proportional to the noise. White noise exceeds it in most cycles, and exceeds eight
+    deviations in under 5 % of them.
     """
     how = calibration.processing
     sigma = untouched_deviation(TIME, untouched(), how)
@@ -75,7 +76,10 @@ def test_prominence_is_that_of_untouched_cycles(calibration):
 
 
 def test_gain_levels_the_echoes(calibration):
-    """The tanh rises to the arctangent's slope in the middle; blockages come out alike by 40 %."""
+    """With the gain curve the amplitudes of closures are equal to about 40 %.
+
+    The tanh has the slope of the arctangent in the middle of the range.
+    """
     plain = locate(TIME, blocked(), Processing(template_cycles=None))
     levelled = locate(TIME, blocked(), calibration.processing)
     assert np.ptp(plain.amplitude) / plain.amplitude.mean() > 1.0
@@ -102,9 +106,10 @@ def test_other_files_are_no_calibration(tmp_path):
 
 
 def test_simulated_sensor_is_calibrated_to_millimetres():
-    """37 closures of a 2.5 m tube with losses: the places come back, and the paper's gain curve.
+    """Closures of a 2.5 m tube with losses give their positions and the published gain.
 
-    The paper's asymptotes are 0.635 and 0.104; the sensor's gain was chosen to meet them.
+    37 closures; the asymptotes of the paper are 0.635 and 0.104, and the sensor's gain was chosen
+    to match them.
     """
     band, places = np.array([10e3, 90e3]), np.arange(0.20, 2.001, 0.05)
     tube = {"radius": 3.95e-3, "length": 2.5, "temperature": 20.0}
@@ -128,7 +133,7 @@ def test_simulated_sensor_is_calibrated_to_millimetres():
     assert found.amplitude_rmse < 0.0254
     gain = found.processing.gain
     assert (gain.c4 - gain.c1, gain.c4 + gain.c1) == pytest.approx((0.635, 0.104), abs=0.02)
-    # A pulse that leaves later, as when a board is triggered otherwise, is followed.
+    # A later send pulse, as with another trigger of the board, is corrected for.
     walk = [(z, lead) for z in (0.33, 0.71, 1.13) for lead in (0.0, 25e-6, 100e-6)]
     for z, lead in walk:
         part = record([blockage(band, z)], Rangefinder(lead=lead), seed=500, **tube)

@@ -1,4 +1,4 @@
-"""Tubes with presses put together from their scattering, against closed forms and full runs."""
+"""Tubes with presses joined from scattering matrices, against closed forms and full simulations."""
 
 from dataclasses import replace
 
@@ -25,14 +25,14 @@ from acoustube.waves.interpolation import interpolate_scattering
 from acoustube.waves.modes.grid_modes import mode_numbers
 
 AIR = Air(sound_speed=343.2, density=1.204, viscosity=1.8133e-5, prandtl=0.70520337)
-"""That of the table below."""
+"""Air of the table below."""
 PHASE_SPEED = {41e3: 342.5079, 42e3: 342.5162, 43e3: 342.5241}
-"""Plane mode in a bore of 3.95 mm radius: m/s of Zwikker and Kosten's solution."""
+"""Phase speed in m/s of the plane mode in a bore of 3.95 mm radius, by Zwikker and Kosten."""
 PULSE = Pulse(frequency=42e3)
 
 
 def made(frequency, s, modes=("00",), extent=0.01):
-    """Return a scattering matrix that is known."""
+    """Return a press with given coefficients of scattering."""
     n = len(modes)
     cut_ons = np.array([cut_on_frequency(*mode_numbers(m), BORE, 343.2) for m in modes])
     return Scattering(
@@ -44,7 +44,7 @@ def made(frequency, s, modes=("00",), extent=0.01):
 
 
 def mirror(reflection, frequency):
-    """Return a symmetric, lossless press: T = j sqrt(1 - R^2) beside a real R."""
+    """Return a symmetric, lossless press with a real R, for which T = j sqrt(1 - R^2)."""
     through = 1j * np.sqrt(1 - reflection**2)
     matrix = np.array([[reflection, through], [through, reflection]])
     return made(frequency, np.tile(matrix, (len(frequency), 1, 1)).astype(complex))
@@ -55,7 +55,7 @@ def tube(**words):
 
 
 def test_group_delay_over_five_metres_is_that_of_the_lossy_plane_mode():
-    """Within 1 mm: 2.9 us. The delay is the slope of the phase, here between 41 and 43 kHz."""
+    """The slope of the phase from 41 to 43 kHz over 5 m is right within 1 mm, or 2.9 us."""
     frequency = np.array(list(PHASE_SPEED))
     answer = transfer([], AIR, frequency, probes=(0.0, 5.0), **tube())
     wanted = np.array([-2 * np.pi * f * 5 / speed for f, speed in PHASE_SPEED.items()])
@@ -74,7 +74,7 @@ def test_group_delay_over_five_metres_is_that_of_the_lossy_plane_mode():
 
 @pytest.mark.parametrize("lossy", [False, True])
 def test_two_presses_make_a_resonator(lossy):
-    """Airy's sum of all echoes between two mirrors."""
+    """Two partial mirrors in a tube are compared with Airy's sum of all echoes, to rounding."""
     frequency = np.linspace(30e3, 50e3, 401)
     r, gap = 0.6, 0.2
     presses = [PlacedScatterer(mirror(r, frequency), z) for z in (0.5 + gap, 0.5)]
@@ -90,8 +90,8 @@ def test_two_presses_make_a_resonator(lossy):
     assert answer[1] == pytest.approx(passed, rel=1e-9)
 
 
-def test_ends_reflect_what_they_are_told_to():
-    """A tube between two ends: the sum of its echoes, with losses."""
+def test_ends_reflect_by_their_given_coefficients():
+    """A tube with losses between two given reflections, against the sum of its echoes."""
     frequency = np.linspace(30e3, 50e3, 11)
     kz = axial_wavenumber(0, 0, frequency, BORE, AIR)
     rs, rf, length, z = -0.7, 0.9 * np.exp(1e-6j * frequency), 1.5, 0.4
@@ -105,7 +105,7 @@ def test_ends_reflect_what_they_are_told_to():
 
 
 def test_modes_that_meet_again_keep_their_power():
-    """Two unitary presses of two modes in a lossless tube: what leaves is what came."""
+    """Two unitary presses with two modes in a lossless tube conserve power."""
     rng = np.random.default_rng(1)
     frequency = np.linspace(30e3, 50e3, 21)
     modes = ("00", "11c")
@@ -130,7 +130,7 @@ def test_modes_that_meet_again_keep_their_power():
             probes=(0.1, 1.3), source_reflection=0.0,
         )  # fmt: skip
 
-    # What the converter turns into the plane wave is the power of (1,1).
+    # The converter turns the power of (1,1) into a plane wave.
     launched = np.exp(-1j * axial_wavenumber(0, 0, frequency, BORE, AIR, lossy=False) * 0.1)
     plane, other = at_probes(kept, kept), at_probes(swapped, swapped)
     reflected = np.abs(plane[0] - launched) ** 2 + np.abs(other[0] - launched) ** 2
@@ -140,7 +140,7 @@ def test_modes_that_meet_again_keep_their_power():
 
 
 def test_scattering_between_its_frequencies_is_that_of_its_response():
-    """A reflection delayed by 0.3 ms, known every 100 Hz: exact at these, 0.2 % between them.
+    """A reflection delayed by 0.3 ms, given every 100 Hz: exact there, 0.2 % in between.
 
     At a complex frequency it is damped by exp(-eta t).
     """
@@ -155,15 +155,17 @@ def test_scattering_between_its_frequencies_is_that_of_its_response():
     for eta in (0.0, 500.0):
         found = interpolate_scattering(press, between - 1j * eta / (2 * np.pi))[:, 0, 0, 0, 0]
         wanted = np.exp((-2j * np.pi * between - eta) * delay)
-        # What the band's ends, which do not agree, leave at its middle.
+        # The two ends of the band differ; this is the effect of that step in its middle.
         assert found == pytest.approx(wanted, abs=2e-3)
 
 
 @pytest.mark.parametrize("damping", [0.0, 300.0])
 def test_scattering_above_a_cut_on_is_interpolated_without_its_step(damping):
-    """A membrane of admittance 0.3 where two modes meet: from 0.5 kHz above the higher's cut-on.
+    """The interpolated matrix of a membrane that couples two modes, against its closed form.
 
-    With the step interpolated too, reflection and conversion are off by up to 0.1.
+    The membrane has an admittance of 0.3; frequencies are 0.5 kHz and more above the cut-on of the
+    higher mode. Were the step at the cut-on interpolated as well, reflection and conversion would
+    be off by up to 0.1.
     """
     modes, given = ("00", "11c"), np.arange(23e3, 40e3, 100.0)
     cut_on = cut_on_frequency(1, 1, BORE, 343.2)
@@ -204,7 +206,10 @@ def test_presses_and_probes_that_collide_are_refused(positions, words, part):
 
 
 def test_even_frequencies_by_the_chirp_transform_are_those_one_by_one():
-    """To rounding; real, and of sound that decays."""
+    """The chirp transform equals the evaluation frequency by frequency, to rounding.
+
+    Real frequencies, and complex ones of decaying sound.
+    """
     rng = np.random.default_rng(3)
     given = np.arange(30e3, 50e3, 100.0)
     s = rng.normal(size=(2, len(given), 4)) * [[[1]], [[1j]]]
@@ -219,7 +224,7 @@ def test_even_frequencies_by_the_chirp_transform_are_those_one_by_one():
     )
 
 
-def test_frequencies_that_a_press_does_not_know_are_refused():
+def test_frequencies_outside_the_band_of_a_press_are_refused():
     press = PlacedScatterer(mirror(0.5, FREQUENCY), 0.3)
     with pytest.raises(ValueError, match="outside the band of a press, 25000 to 59000 Hz"):
         transfer([press], AIR, np.array([20e3, 30e3]), **tube())
@@ -251,7 +256,7 @@ def test_presses_of_another_tube_or_air_are_refused():
 
 
 def test_frequencies_too_far_apart_or_uneven_are_refused():
-    """Apart by 500 Hz only where a mode cuts on among them: (2,1) at 42.2 kHz."""
+    """Steps of 500 Hz are refused only where a mode cuts on among them, here (2,1) at 42.2 kHz."""
     coarse, uneven = np.arange(30e3, 51e3, 500.0), np.geomspace(30e3, 51e3, 300)
     interpolate_scattering(mirror(0.5, coarse), coarse)
     two_modes = made(coarse, np.zeros((len(coarse), 4, 4), complex), ("00", "21c"))
@@ -275,10 +280,10 @@ def twice_pinched(length, pinches):
 
 @pytest.mark.slow
 def test_two_presses_echo_as_in_a_run_of_the_whole_tube():
-    """At 22 kHz, 12 cells per bore, with losses: within 2 % of the pulse and 5 % of the echoes.
+    """Cascade and march of the whole tube agree within 2 % of the pulse, 5 % of the echoes.
 
-    Below the cut-on of (1,1) both are the plane mode's; above it the grid of the full run slows
-    the other modes between the presses.
+    At 22 kHz, with 12 cells per bore and losses. Below the cut-on of (1,1) both compute the plane
+    mode; above it the grid of the full run slows the other modes between the presses.
     """
     pulse = Pulse(frequency=20e3, cycles=8)
     air, length, pinches = air_at(20.0), 0.26, [(0.10, 0.5), (0.18, 0.6)]

@@ -1,4 +1,4 @@
-"""The whole chain through the installed command, once, on a coarse grid; and what it wrote."""
+"""The whole chain by the installed command, run once on a coarse grid, and its files."""
 
 import json
 
@@ -44,7 +44,7 @@ def test_folder_holds_data_settings_and_figure_and_nothing_else(finished):
     assert [path.name for path in folder.parent.iterdir()] == ["run"]
 
 
-def test_printed_table_tells_what_the_file_holds(finished, dataset):
+def test_printed_table_states_the_values_of_the_file(finished, dataset):
     printed, last = finished[0].stdout, dataset.isel(depth=-1)
     assert f"{float(last['contact_force']):.3f} N" in printed
     assert f"{1e6 * float(last['lumen_area']):.2f} mm2" in printed
@@ -53,10 +53,10 @@ def test_printed_table_tells_what_the_file_holds(finished, dataset):
 
 
 def test_run_is_checked_against_the_spectral_solver(finished, dataset):
-    """At 12 cells across: the echo within 2 mm and 10 %.
+    """At 12 cells across, the echo is within 2 mm and 10 % of that of the spectral solver.
 
-    Measured 0.9 and 1.2 mm, 6 and 4 %, and the same on the fine mesh of the wall: the grid's error.
-    With 16 cells it is 0.3 mm and 2 %.
+    Measured 0.9 and 1.2 mm, 6 and 4 %, and the same on the fine mesh of the wall: it is the grid's
+    error. With 16 cells it is 0.3 mm and 2 %.
     """
     apart = dataset["spectral_distance"] - dataset["estimated_distance"]
     assert np.abs(apart).max() < 2e-3
@@ -92,10 +92,10 @@ def test_second_run_into_the_same_folder_is_refused_and_changes_nothing(finished
 
 
 def test_force_and_section_follow_the_stages(dataset):
-    """Force rises with depth; the profile's least area is the section under the rod.
+    """Force rises with depth, and the least area of the profile is that under the rod.
 
     The profile is cut from rings of 216 facets, the section at the press from triangles with 288
-    points around: two polygons in one curve, 1e-4 apart.
+    points around: two polygons of one curve, whose areas differ by 1e-4.
     """
     assert np.all(np.diff(dataset["contact_force"]) > 0)
     at_press = float(dataset["lumen_area"][-1])
@@ -105,21 +105,21 @@ def test_force_and_section_follow_the_stages(dataset):
 
 
 def test_absorbing_end_places_the_press_within_its_own_length(dataset):
-    """The rod flattens 2.4 cm of the tube, and the echo's middle lies behind the rod's by 3 mm.
+    """The estimated distance is within 3 mm of the rod, which flattens 2.4 cm of the tube.
 
-    Found at 18.31 cm with 0.01359 of the pulse on this grid, and by scattering matrices, which have
-    no delay of the grid, at 18.28 cm with 0.01363. Coarse as it is: 5 % for another processor's
-    sums and mesh.
+    On this grid the echo is at 18.31 cm with 0.01359 of the pulse; by scattering matrices, which
+    have no delay of the grid, at 18.28 cm with 0.01363. The tolerance of 5 % allows for another
+    processor's order of sums and for another mesh.
     """
     case = dataset.sel(source_end="absorbing")
     assert float(case["estimated_distance"]) == pytest.approx(0.1830, abs=1e-3)
     assert float(case["echo_amplitude"]) == pytest.approx(0.0136, rel=0.05)
 
 
-def test_probe_sees_the_pulse_before_any_echo_alike_at_both_ends(dataset):
-    """Until the echo is back the source end has nothing to reflect.
+def test_both_source_ends_give_the_same_pulse_before_any_echo(dataset):
+    """Both source ends give the same pressure until the echo has returned to the source end.
 
-    The prescribed pressure and the launched wave differ in their discrete start by a percent.
+    The prescribed pressure and the launched wave differ in their discrete start by 1 %.
     """
     silent = dataset["time"] < 2 * (0.18 - 0.06 - 0.02) / float(dataset["sound_speed"])
     release, absorbing = dataset["pressure"].values[:, silent.values]
@@ -132,7 +132,7 @@ def test_figure_shares_the_distance_and_marks_both_pulses(dataset):
     assert images is not None
     strip = images["strip"]
     assert strip.shape == (tube_scene.STRIP_PIXELS[1], tube_scene.STRIP_PIXELS[0], 3)
-    # The wall reaches both edges, and the picture's lowest lumen is where the press is.
+    # The wall reaches both edges, and the lumen in the picture is lowest at the press.
     middle = strip[strip.shape[0] // 2].astype(int)
     assert np.all(np.ptp(middle[[0, -1]], axis=1) > 10)
     sheet = run_figure.figure(dataset, images)
@@ -158,7 +158,7 @@ def round_rings(length):
 
 
 def test_both_source_ends_share_one_time_axis_whatever_the_length():
-    """At this length and grid the two steps, found alone, give different numbers of samples."""
+    """Here the steps of the two ends alone would give different numbers of samples."""
     config = load_config(indenter_mm=10, resolution=9, length_cm=40.72)
     rings = round_rings(0.4072)
     recordings, _ = tube_recordings(
@@ -197,15 +197,16 @@ def test_cut_on_inside_the_band_is_warned_of():
     )
 
 
-def test_loss_that_the_model_leaves_out_is_told():
-    """13.35 dB/m by the wall (Zwikker and Kosten) and 1.39 by the air over 36 cm are 5.3 dB."""
+def test_loss_that_the_model_leaves_out_is_stated():
+    """13.35 dB/m by the wall (Zwikker and Kosten), 1.39 by the air: 5.3 dB over 36 cm."""
     assert any("by 5.3 dB" in line for line in warnings_for(settings_in_si(load_config())))
 
 
 def test_scattering_and_straight_tube_give_the_recording_of_the_whole_tube(dataset):
-    """12 cells per bore: within 2.5 % of the pulse. Its release end launches 1.3 % less than told.
+    """Scattering and whole tube agree within 2.5 % of the pulse, at 12 cells per bore.
 
-    On the default grid it is half a per cent; see benchmarks/whole_tube_or_scattering.py.
+    The release end launches 1.3 % less than prescribed. On the default grid the difference is half
+    a per cent; see benchmarks/whole_tube_or_scattering.py.
     """
     words = {f"{name}_mm": OPTIONS[name] for name in ("indenter", "depth")}
     found = simulate(
@@ -230,7 +231,7 @@ def test_scattering_and_straight_tube_give_the_recording_of_the_whole_tube(datas
 
 @pytest.mark.parametrize("losses", ["off", "on"])
 def test_default_prominence_finds_the_press_with_and_without_losses(losses, dataset):
-    """The losses take the echo, 1.4 % of the pulse, below 1 %; both are of the pressed place."""
+    """Losses reduce the echo, 1.4 % of the pulse, to below 1 %; both runs locate the press."""
     found = simulate(
         load_config(
             losses=losses,

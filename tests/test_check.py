@@ -1,4 +1,4 @@
-"""`acoustube check`: what it tells of an installation, and that it notices what is broken."""
+"""`acoustube check`: what it reports of an installation, and that it detects what is broken."""
 
 import json
 import tomllib
@@ -22,14 +22,14 @@ def fixed(value):
 
 
 def only(monkeypatch, *trials):
-    """Leave only these tests, and nothing that takes long."""
+    """Run only the given tests of `check`, and leave out all that takes long."""
     monkeypatch.setattr(selftest, "all_trials", lambda: trials)
     monkeypatch.setattr(check_command, "can_draw", lambda: True)
 
 
 @pytest.mark.slow
 def test_this_installation_passes(capsys):
-    """Every row within its tolerance; measured 13 s of processor time, JAX's compilation most."""
+    """All results are within tolerance; 13 s of processor time, most of it compilation."""
     assert main(["check", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["passed"]
@@ -75,7 +75,7 @@ def test_a_test_passes_within_its_tolerance(value, passed):
     assert Outcome("a", value, 1.0, 0.1, "m", 0.0).passed is passed
 
 
-def test_failure_is_told_in_the_table_and_in_one_sentence(monkeypatch, capsys):
+def test_failure_is_reported_in_the_table_and_in_one_sentence(monkeypatch, capsys):
     only(monkeypatch, fixed(1.0), fixed(2.0))
     assert main(["check"]) == 1
     out, err = capsys.readouterr()
@@ -99,14 +99,14 @@ def test_json_holds_what_could_not_be_computed(monkeypatch, capsys):
 
 
 def test_vtk_that_ends_its_process_does_not_end_ours(monkeypatch, capsys):
-    """As VTK does where EGL is missing."""
+    """VTK ends its process where EGL is missing; the check goes on."""
     monkeypatch.setattr(check_command, "DRAWING", "import os; os.abort()")
     monkeypatch.setattr(selftest, "all_trials", lambda: (fixed(1.0),))
     assert main(["check"]) == 0
     assert "drawing: does not work" in capsys.readouterr().out
 
 
-def test_extras_are_those_of_the_package_and_a_missing_one_tells_how_to_get_it():
+def test_extras_are_those_of_the_package_and_a_missing_one_states_its_install_command():
     found = check_command.extras(
         ["numpy>=2.0", "no-such-package>=1; extra == 'c3d'", "numpy; extra == 'audio'",
          "pytest; extra == 'test'"],
@@ -127,7 +127,7 @@ def test_what_killed_commands_have_left_is_told(monkeypatch, capsys):
     assert told in capsys.readouterr().out
 
 
-def test_cache_that_cannot_be_written_is_told(monkeypatch, capsys, tmp_path):
+def test_read_only_cache_is_reported(monkeypatch, capsys, tmp_path):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("ACOUSTUBE_CACHE", str(tmp_path / "file" / "cache"))
     only(monkeypatch, fixed(1.0))

@@ -62,9 +62,10 @@ def sensor_file(path, rangefinder, length=250.0):
      Tones(frequencies=(9e3, 13e3), order="together")],
 )  # fmt: skip
 def test_drives_have_the_spectrum_of_their_samples(drive):
-    """At complex frequencies, as the response takes them; midpoint rule of 40 000 samples.
+    """Closed-form spectra at complex frequencies, against sums over 40 000 samples.
 
-    Its error is (2 pi f step)^2 / 24 < 1e-5; where tones meet, half a sample counts for the other.
+    The error of the midpoint rule is (2 pi f step)^2 / 24 < 1e-5; where two tones meet, half a
+    sample is attributed to the wrong tone.
     """
     n = 40_000
     time = (np.arange(n) + 0.5) * drive.duration / n
@@ -79,7 +80,10 @@ def test_drives_have_the_spectrum_of_their_samples(drive):
     [("rectangular", 0.886, -13.26), ("hann", 1.44, -31.47), ("hamming", 1.30, -42.7)],
 )
 def test_compressed_chirp_has_the_width_and_side_lobes_of_its_window(window, width, lobe):
-    """Those of the window's Fourier transform (Harris), approached as 1/(B T): here B T = 400."""
+    """Main lobe and side lobes are those of the window's Fourier transform (Harris).
+
+    They are approached as 1/(B T), with B T = 400 here.
+    """
     rate, bandwidth, duration = 500e3, 20e3, 20e-3
     chirp = Chirp(frequency=50e3, bandwidth=bandwidth, duration=duration)
     time = np.arange(int(2.2 * duration * rate)) / rate
@@ -101,7 +105,7 @@ def test_compressed_chirp_has_the_width_and_side_lobes_of_its_window(window, wid
 
 @pytest.mark.parametrize(("window", "loss"), [("rectangular", 0.0), ("hann", 1.76)])
 def test_compression_gains_bandwidth_times_duration(window, loss):
-    """Of the signal-to-noise ratio in the chirp's band; the Hann window loses 1.76 dB of it.
+    """The gain in signal-to-noise ratio in the band is B T; a Hann window loses 1.76 dB.
 
     The noise's variance is known to 1 % from its 2e4 samples, some 8000 of them independent.
     """
@@ -115,8 +119,11 @@ def test_compression_gains_bandwidth_times_duration(window, loss):
 
 
 def test_two_reflectors_are_resolved_from_a_main_lobe_on():
-    """Two equal echoes 1.1 c/B apart have two peaks, 0.5 c/B apart one; Hann's main lobe is 2 c/B
-    wide between its zeros. Lossless, without other reflections."""
+    """Two equal echoes 1.1 c/B apart have two peaks, and 0.5 c/B apart one peak.
+
+    The main lobe of the Hann window is 2 c/B wide between its zeros. There are no losses and no
+    other reflections.
+    """
     bandwidth, speed = 20e3, 343.2
     time = np.arange(4000) / 200e3
     chirp = Chirp(frequency=40e3, bandwidth=bandwidth, duration=1e-3)
@@ -133,7 +140,10 @@ def test_two_reflectors_are_resolved_from_a_main_lobe_on():
 
 @pytest.mark.parametrize("noise", [0.02, 0.1])
 def test_stated_deviation_of_compressed_echoes_is_the_observed_one(noise):
-    """Of 200 cycles, whose spread is known to 5 %; the side lobes add to the stated one."""
+    """The stated deviation is within 20 % of the spread of 200 cycles.
+
+    The spread is known to 5 %; the side lobes add to the stated deviation.
+    """
     rate, chirp = 200e3, Chirp(frequency=9e3, bandwidth=12e3, duration=1e-3)
     time = np.arange(4000) / rate
     cycles = chirp(time) + 0.2 * chirp(time - 6e-3)
@@ -144,7 +154,11 @@ def test_stated_deviation_of_compressed_echoes_is_the_observed_one(noise):
 
 
 def test_closures_are_located_by_a_compressed_chirp_in_the_audio_band():
-    """The bias is the wall's boundary layer, which slows 9 kHz by 0.15 % in a bore of 7.9 mm."""
+    """Distances are right within 0.4 mm after a bias of 0.15 %.
+
+    The bias is the effect of the wall's boundary layer, which slows sound of 9 kHz in a bore of
+    7.9 mm.
+    """
     quiet = replace(LOUDSPEAKER, temperature_bias=0.0, temperature_noise=0.0)
     for place in (0.35, 1.0, 2.0):
         cycles = record([blockage(BAND, place)], quiet, n_cycles=2)
@@ -152,7 +166,7 @@ def test_closures_are_located_by_a_compressed_chirp_in_the_audio_band():
         assert found.distance == pytest.approx(1.0015 * place, abs=0.4e-3)
     near = record([blockage(BAND, 0.12)], quiet)
     found = locate(near["time"].values, near["signal"].values, processing(quiet, nearest=0.0))
-    # It begins while the chirp is sent, 0.17 m long; what is found is the second echo at most.
+    # The echo begins while the chirp, 0.17 m long, is sent: at most the second echo is detected.
     assert not found.detected.any() or found.distance[0] > 0.17
 
 
@@ -180,13 +194,13 @@ def test_loudspeaker_passes_its_band_with_the_slopes_of_second_order():
     for frequency, level in ((1e3, -3.01), (18e3, -3.0), (100.0, -40.0), (180e3, -40.0)):
         passed = 20 * np.log10(np.abs(LOUDSPEAKER.passband(np.array([frequency]))[0]))
         assert passed == pytest.approx(level, abs=0.1)
-    # An own drive that just does not clip, as its description states.
+    # The own drive nearly fills the converter without clipping, as its description states.
     _, volts = response([], LOUDSPEAKER)
     assert 0.85 < np.abs(volts[:200]).max() < 0.9
 
 
 def test_weighting_is_that_of_the_standard():
-    """IEC 61672-1, table of design goals, to its rounding."""
+    """A-weighting is that of IEC 61672-1, table of design goals, to its rounding."""
     frequency = np.array([31.5, 100.0, 1000.0, 4000.0, 10e3, 16e3])
     wanted = [-39.4, -19.1, 0.0, 1.0, -2.5, -6.6]
     assert 20 * np.log10(a_weighting(frequency)) == pytest.approx(wanted, abs=0.15)
@@ -197,7 +211,7 @@ def test_audible_level_of_a_steady_tone_is_zero_and_of_ultrasound_far_below():
         drive=Burst(frequency=1e3, cycles=50, shape="sine"), quality_factor=0.0, cycle_rate=20.0
     )
     assert audible_level(steady) == pytest.approx(0.0, abs=0.05)
-    # One cycle of 1 ms in twenty a second: 10 log10(0.02), and the band's mean weighting.
+    # Twenty cycles of 1 ms per second: 10 log10(0.02), plus the mean weighting of the band.
     assert audible_level(LOUDSPEAKER) == pytest.approx(-18, abs=2)
     assert audible_level(Rangefinder()) < -70
     assert audible_level(ULTRASOUND) < -50
@@ -211,7 +225,7 @@ def wide_library():
 
 @pytest.mark.parametrize("sensor", [ULTRASOUND, LOUDSPEAKER], ids=["ultrasound", "loudspeaker"])
 def test_inversion_follows_the_band_of_the_drive(sensor):
-    """The forward model is the recording, and a single cycle tells two presses."""
+    """The forward model is the recording, to 2e-3; a single cycle gives both presses."""
     library, frequency = wide_library(), np.arange(150.0, 99.9e3, 100.0)
     silent = replace(sensor, clutter=0.0, noise=0.0, drift=0.0, quantised=False, far_reflection=0.0)
     base = Baseband(silent, RADIUS, 2.5, 20.0, MODES)
@@ -223,7 +237,7 @@ def test_inversion_follows_the_band_of_the_drive(sensor):
     place, depth = np.array([[0.8]]), np.array([[5.03e-3]])
     found, _ = ForwardModel(library, base).baseband((0,), place, depth, np.zeros((1, 6)))
     assert np.abs(found[0] - given).max() < 2e-3 * np.abs(given).max()
-    # Compressed: most of the energy within some reciprocals of the bandwidth about its middle.
+    # Compressed: most of the energy lies within 3 / bandwidth of the middle of the echo.
     energy = np.abs(given) ** 2
     delay = 1.6 / base.speed + sensor.drive.duration / 2
     assert energy[np.abs(base.window - delay) < 3 / wide].sum() > 0.8 * energy.sum()

@@ -1,4 +1,4 @@
-"""`acoustube cite`: references are those of the docstrings, a result's are those it used."""
+"""`acoustube cite`: its references are those of the docstrings, and those that a result used."""
 
 import json
 import re
@@ -174,7 +174,7 @@ def test_program_is_cited_as_the_citation_file_says():
     assert f"version: {program.fields['version']}" in text
 
 
-def test_reader_that_has_had_enough_is_no_error():
+def test_closed_pipe_of_a_reader_is_no_error():
     command = "import sys; from acoustube.cli._app import main; sys.exit(main(['cite']))"
     with subprocess.Popen(
         [sys.executable, "-c", command], stdout=subprocess.PIPE, stderr=subprocess.PIPE

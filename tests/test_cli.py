@@ -1,4 +1,4 @@
-"""The installed command: what it prints, refuses and costs."""
+"""The installed command: output, refusals and loading time."""
 
 import os
 import re
@@ -98,7 +98,7 @@ def parsed_or_refusal(tokens):
 
 @pytest.mark.parametrize(("words", "name"), WHOLE)
 def test_whole_numbers_are_exact_and_nothing_else_is_one(words, name, capsys):
-    """2**53 + 1 is no double; 1e3 is whole as it is written; 3.5 is refused before anything."""
+    """2**53 + 1, which is no double, stays exact; 1e3 is whole; 3.5 is refused at once."""
     Path("a.stl").touch()
     for text, number in (("9007199254740993", 2**53 + 1), ("-3", -3), ("1e3", 1000)):
         tokens = words.replace("16", text).split()
@@ -131,7 +131,7 @@ def test_largest_seed_that_is_documented_is_taken(capsys):
     ("command", "allowed"), [("simulate", False), ("indent", False), ("sweep", True)]
 )
 def test_help_states_the_depths_that_a_command_takes(command, allowed, capsys):
-    """Zero is a case of a sweep alone, and the help of the others starts at the least touch."""
+    """Depth 0 is accepted by a sweep only; the help of all commands states the least depth."""
     _app.main([command, "--help"])
     words = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert f"{SHALLOWEST_MM:g} to 50 mm, or 0 in a sweep" in words
@@ -242,7 +242,7 @@ def test_bad_option_of_a_press_is_refused_in_one_sentence(tmp_path, capsys, word
     ids=" ".join,
 )
 def test_a_process_refuses_as_the_function_does(tmp_path, capsys, words):
-    """The installed command ends with code 2, and prints the same line and nothing else."""
+    """The installed command ends with code 2 and prints the same line, and nothing else."""
     result = run_process(*words)
     assert result.returncode == 2
     assert result.stdout == ""
@@ -348,7 +348,7 @@ def test_failure_in_a_command_is_one_sentence_and_a_code(monkeypatch, capsys, er
     ("delay", "number"), [(0.3, signal.SIGINT), (1.5, signal.SIGTERM), (4, signal.SIGINT)]
 )
 def test_interrupt_at_any_moment_leaves_nothing(tmp_path, tmp_path_factory, delay, number):
-    """While modules load, while the press is computed; before Python is up nothing can be said."""
+    """Interrupts while modules load and while the press is computed; not before Python runs."""
     nothing_kept = {"ACOUSTUBE_CACHE": str(tmp_path_factory.mktemp("cache"))}
     with subprocess.Popen(
         [COMMAND, "simulate", "--resolution", "12", "--out", "new/run"],
@@ -363,7 +363,7 @@ def test_interrupt_at_any_moment_leaves_nothing(tmp_path, tmp_path_factory, dela
         process.send_signal(number)
         _, errors = process.communicate(timeout=60)
     assert process.returncode == 128 + number, errors
-    # JAX may print of an interrupt that it has ignored; the last line is ours.
+    # JAX may print a note on an interrupt that it has ignored; the last line is acoustube's.
     assert errors.splitlines()[-1].startswith("acoustube: interrupted")
     assert list(tmp_path.iterdir()) == []
 

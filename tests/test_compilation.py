@@ -43,7 +43,7 @@ def test_other_versions_and_those_for_gpus_are_left_as_they_are(found, plugin, m
     not version("jaxlib").startswith(compilation.KNOWN), reason="the options are for other versions"
 )
 def test_jax_takes_the_options(monkeypatch):
-    """In a process of its own, whose exit code tells."""
+    """JAX compiles with the options in its own process, whose exit code is checked."""
     monkeypatch.setenv("XLA_FLAGS", "")
     monkeypatch.setattr(compilation, "find_spec", lambda _: None)
     compile_quickly()

@@ -1,4 +1,4 @@
-"""The compiled columns against the scheme's JAX form."""
+"""The compiled columns against the JAX form of the same finite-difference scheme."""
 
 import os
 import subprocess
@@ -31,16 +31,16 @@ from acoustube.waves.scheme.problem import prepare
 
 AIR = air_at(20.0)
 ROUNDING = {jnp.float64: 1e-12, jnp.float32: 2e-4}
-"""Largest difference, relative to the peak, after some hundred steps.
+"""Largest allowed difference, relative to the peak, after some hundred steps.
 
-Each step rounds a few times. The change's errors add up to those of the pressure, so that n steps
-give up to n^1.5 rounding errors: 300^1.5 times 6e-8 is 3e-4, and times 1.1e-16 it is 6e-13.
+Each step rounds a few times. Errors of the pressure change accumulate in the pressure, so that n
+steps give up to n^1.5 rounding errors: 300^1.5 times 6e-8 is 3e-4, and times 1.1e-16 it is 6e-13.
 """
 
 
 @pytest.fixture(scope="module")
 def pinched():
-    """A pinched half tube with cells that borrow volume; the core has spans of its own."""
+    """A pinched half tube with cells small enough to share volume with their neighbours."""
     cells = cut_cells(pinched_tube(0.03, 0.8), 2 * BORE / 16, half=True)
     volume = cells.volume_fraction
     assert volume[(volume > 0)].min() < 0.1
@@ -49,7 +49,7 @@ def pinched():
 
 
 def noisy(setup):
-    """A start from noise in all open cells but those in the absorbers or near."""
+    """A start from noise in all open cells except those in or near the absorbers."""
     noise = np.random.default_rng(0).normal(size=setup.cells.shape)
     ahead = 0 if setup.state.before is None else setup.state.before.transverse.shape[2] + 3
     behind = 0 if setup.state.behind is None else setup.state.behind.transverse.shape[2] + 3
@@ -66,7 +66,7 @@ def difference(found, expected):
 
 
 def assert_same(setup, state, source, tolerance):
-    """March both ways and compare what is heard, and all that a later step depends on."""
+    """March with both forms; compare recordings, and all fields that later steps use."""
     traced, heard = march(setup, state, source, compiled=False)
     found, heard_too = march(setup, state, source, compiled=True)
     assert np.abs(heard).max() > 0.0
@@ -86,7 +86,7 @@ def assert_same(setup, state, source, tolerance):
 ENDS = ("release", "absorbing"), ("absorbing", "absorbing"), ("rigid", "rigid")
 BAND = 5e3, 60e3
 OFTEN = {(ENDS[1], None, jnp.float32), (ENDS[2], BAND, jnp.float32)}
-"""Cases that are not long. A release end is marched both ways by
+"""Cases that are not marked long. A release end is marched both ways by
 `test_a_march_goes_on_from_either_form`, in double precision by tests of energy."""
 
 
@@ -98,7 +98,7 @@ OFTEN = {(ENDS[1], None, jnp.float32), (ENDS[2], BAND, jnp.float32)}
     ],
 )
 def test_columns_march_as_jax_does(pinched, ends, lossy_band, dtype):
-    """From noise and with a source: several probes, two of them in one layer, in any order."""
+    """From noise and with a source; several probes, two of them in one layer, in any order."""
     with jax.enable_x64(dtype == jnp.float64):
         setup = prepare(
             pinched, AIR, probes=(0.02, 0.005, 0.02), source_end=ends[0], far_end=ends[1],
@@ -117,7 +117,7 @@ def test_columns_march_as_jax_does(pinched, ends, lossy_band, dtype):
     ],
 )
 def test_a_march_goes_on_from_either_form(pinched, lossy_band, dtype):
-    """Half of the steps, an odd number, in one form and half in the other, or in the same."""
+    """Two halves of an odd number of steps, each in either form, equal one march."""
     with jax.enable_x64(dtype == jnp.float64):
         setup = prepare(pinched, AIR, probes=(0.01,), lossy_band=lossy_band, dtype=dtype)
         source = np.sin(0.3 * np.arange(202))
@@ -133,7 +133,7 @@ def test_a_march_goes_on_from_either_form(pinched, lossy_band, dtype):
 
 @pytest.mark.parametrize("lossy", [pytest.param(False, marks=pytest.mark.long), True])
 def test_antisymmetric_halves_march_as_jax_does(lossy):
-    """The plane x = 0 has open faces towards zero pressure; the source has the mode's shape."""
+    """At x = 0 open faces border on zero pressure; the source has the mode's shape."""
     cells = straight_ends_cut(cut_cells(pinched_tube(0.02, 0.5, width=2e-3), 2 * BORE / 16))
     part = PortProblem(cells, AIR, np.array([42e3]), (8e3, 60e3), True, lossy, 0.005)
     modes, setup = part.modes, part.setup
@@ -151,7 +151,7 @@ def test_antisymmetric_halves_march_as_jax_does(lossy):
 
 
 def test_march_ends_where_a_thread_cannot_be_started(pinched, monkeypatch):
-    """The others do not wait for it, and the state is as it was."""
+    """The threads that have started end as well, and the state is unchanged."""
     setup = prepare(pinched, AIR, probes=(0.01,))
     alone, refused = (CompiledMarcher(setup, noisy(setup), n) for n in (1, 3))
     start, started = threading.Thread.start, []
@@ -175,7 +175,7 @@ def test_march_ends_where_a_thread_cannot_be_started(pinched, monkeypatch):
 
 @pytest.mark.parametrize("n_threads", [1, 2, 3, 5])
 def test_threads_share_the_columns(pinched, n_threads):
-    """The fields are those of one thread to the last digit; what is heard is summed otherwise."""
+    """Fields are those of one thread bit by bit; recordings are summed in another order."""
     setup = prepare(pinched, AIR, probes=(0.01,), lossy_band=(5e3, 60e3))
     source = np.sin(0.3 * np.arange(50))
     alone, shared = (CompiledMarcher(setup, noisy(setup), n) for n in (1, n_threads))
@@ -185,8 +185,8 @@ def test_threads_share_the_columns(pinched, n_threads):
 
 @pytest.mark.parametrize("source_end", ["release", "absorbing"])
 @pytest.mark.parametrize("lossy_band", [None, BAND])
-def test_layers_that_are_not_heard_are_left_out(source_end, lossy_band):
-    """Noise, which has no smooth front, is heard as if all layers were advanced."""
+def test_layers_that_cannot_reach_a_probe_are_left_out(source_end, lossy_band):
+    """The recording of noise, which has no smooth front, equals that of a march of all layers."""
     long = cut_cells(pinched_tube(0.1, 0.8), 2 * BORE / 16, half=True)
     setup = prepare(long, AIR, probes=(0.01, 0.004), source_end=source_end, lossy_band=lossy_band)
     n_steps = int(2.2 * long.length / AIR.sound_speed / setup.time_step)
@@ -202,7 +202,7 @@ def test_layers_that_are_not_heard_are_left_out(source_end, lossy_band):
 
 
 def test_marches_in_several_threads_at_once(pinched):
-    """Each has its own memory and its own threads."""
+    """Concurrent marches, each with its own memory and threads, give the same recording."""
     setup = prepare(pinched, AIR, probes=(0.01,))
     source = np.sin(0.3 * np.arange(100))
     _, expected = march(setup, setup.state, source, compiled=True)
@@ -221,7 +221,7 @@ def test_a_start_is_not_changed(pinched):
 
 
 def test_threads_are_bounded_by_the_environment():
-    """NUMBA_NUM_THREADS=1 leaves room for many processes."""
+    """NUMBA_NUM_THREADS=1 limits a march to one thread, for use by many processes."""
     code = (
         "from acoustube.waves.scheme.cpu_leapfrog import default_threads; print(default_threads())"
     )

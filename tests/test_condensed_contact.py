@@ -1,4 +1,4 @@
-"""Newton steps with the contact solved exactly: against the whole problem, and dense matrices."""
+"""Newton steps with exact contact, against the whole problem and dense matrices."""
 
 import jax
 import numpy as np
@@ -17,7 +17,7 @@ TOUCHED, PRESSED = 0.2e-3, 0.3e-3
 
 @pytest.fixture(scope="module")
 def tube():
-    """First contact of a tube on the floor, its model, and its state at a depth of 0.2 mm."""
+    """First contact of a tube on the floor, its model, and displacements at 0.2 mm."""
     with jax.enable_x64(True):
         untouched = press.first_touch(
             Tube(), (Indenter(),), support="free", layer=None,
@@ -32,7 +32,7 @@ def tube():
 
 
 def condensed(tube, depth):
-    """Return the tangent at 0.2 mm with the bodies at a depth, and the contact condensed by it."""
+    """Return tangent, condensed contact and state at 0.2 mm with the bodies at a depth."""
     untouched, model, state = tube
     bodies = bodies_at(untouched, depth)
     tangent = assembly.stiffness(model, state, bodies)
@@ -41,7 +41,7 @@ def condensed(tube, depth):
 
 
 def left_over(tube, tangent, contact, state, step):
-    """Return the residual of a step: the wall linear, the contact as the energy has it."""
+    """Return the residual after a step, with a linear wall and the exact contact."""
     _, model, displacement = tube
     moved = np.zeros_like(displacement)
     moved[model.free] = step
@@ -68,8 +68,11 @@ def left_over(tube, tangent, contact, state, step):
     return float(np.linalg.norm(state.gradient + wall + change))
 
 
-def test_step_leaves_no_residual_but_what_the_curved_rod_makes(tube):
-    """0.1 mm deeper: a linear step leaves a twelfth of the residual, this one a thousandth."""
+def test_residual_of_a_step_is_small_and_due_to_the_rods_curvature(tube):
+    """At 0.1 mm deeper a linear step leaves a twelfth of the residual, the exact step a thousandth.
+
+    The rest is the effect of the rod's curvature.
+    """
     tangent, contact, state = condensed(tube, PRESSED)
     linear = -contact.factor(state.gradient)
     assert left_over(tube, tangent, contact, state, linear) > 0.05 * state.norm
@@ -78,13 +81,13 @@ def test_step_leaves_no_residual_but_what_the_curved_rod_makes(tube):
 
 
 def test_step_without_a_change_of_contact_is_newtons(tube):
-    """From the solution itself, to round-off: no node's contact changes."""
+    """At the solution no node's contact changes: the step is Newton's, to round-off."""
     _, contact, state = condensed(tube, TOUCHED)
     assert contact.step(state) == pytest.approx(-contact.factor(state.gradient), abs=1e-18)
 
 
 def test_definiteness_is_that_of_the_whole_tangent(tube, monkeypatch):
-    """The zone's contact made softer and softer, to below zero: against all eigenvalues."""
+    """For an ever softer contact zone, against all eigenvalues of the tangent."""
     tangent, contact, state = condensed(tube, PRESSED)
     contact.step(state)
     known = contact._stiffness
@@ -102,7 +105,7 @@ def test_definiteness_is_that_of_the_whole_tangent(tube, monkeypatch):
 
 
 def test_contact_solved_exactly_saves_factorisations_and_changes_no_state(tube, monkeypatch):
-    """To the tolerance of the residual; 0.1 mm deeper, half as many or fewer."""
+    """0.1 mm deeper: the same state, with half as many factorisations or fewer."""
     untouched, model, state = tube
     bodies, factorise, count = bodies_at(untouched, PRESSED), linear_solver.factorise, []
 
@@ -124,7 +127,7 @@ def test_contact_solved_exactly_saves_factorisations_and_changes_no_state(tube, 
 
 @pytest.mark.parametrize(("n", "half_width"), [(1, 0), (40, 6), (300, 130), (250, 97)])
 def test_forward_columns_give_the_inverse(n, half_width):
-    """Of unknowns in one front and in many; against a dense inverse."""
+    """Products of forward columns equal a dense inverse, for unknowns in one front and in many."""
     rng = np.random.default_rng(n)
     root = np.triu(np.tril(rng.normal(size=(n, n))), -half_width) + 3 * half_width * np.eye(n)
     matrix = root @ root.T + np.eye(n)

@@ -1,4 +1,4 @@
-"""Settings: ranges, contradictions, files, and the way back to a file."""
+"""Settings: ranges, contradictions, files, and writing them back to a file."""
 
 import dataclasses
 import math
@@ -131,7 +131,7 @@ def test_sound_of_a_closing_lumen_is_computed_with_a_warning():
 
 
 def test_press_alone_may_close_the_lumen():
-    """Half a wall beyond the bore, 8.7 mm, the closed tube is solid between rod and floor."""
+    """Depths up to 8.7 mm are allowed: half a wall beyond the bore, where the tube is solid."""
     assert load_config(None, Mechanics, depth_mm=8.7).indentation.depth_mm == 8.7
     for wrong in (8.71, 12):
         refused(
@@ -141,7 +141,7 @@ def test_press_alone_may_close_the_lumen():
 
 
 def test_press_alone_needs_no_sound(tmp_path):
-    """Sections that a press alone lacks are read past, but not their misspelt names."""
+    """Sections without use for a press are ignored, but misspelt names in them are refused."""
     path = tmp_path / "a.toml"
     path.write_text("[waves]\nresolution = 1\n[indentation]\ndepth_mm = 8\n")
     assert load_config(path, Mechanics).indentation.depth_mm == 8
@@ -266,7 +266,7 @@ def test_lowpass_stays_an_octave_below_the_carrier():
 
 
 def test_pulse_has_left_before_the_far_end_answers():
-    """40 cm there and back take 2.331 ms: 11.65 cycles of 5 kHz."""
+    """The sound takes 2.331 ms for 40 cm and back, the duration of 11.65 cycles of 5 kHz."""
     refused(
         lambda: load_config(frequency_khz=5, cycles=12),
         setting="cycles", value=12, allowed=(1, 11),
@@ -275,7 +275,7 @@ def test_pulse_has_left_before_the_far_end_answers():
 
 
 def test_lowpass_is_faster_than_the_record():
-    """Sound takes 2.33 ms to the end of 40 cm and back; three periods of 1.29 kHz."""
+    """The sound takes 2.33 ms for 40 cm and back, the duration of three periods of 1.29 kHz."""
     error = refused(lambda: load_config(lowpass_khz=1), setting="lowpass_khz", value=1)
     assert error.allowed[0] == 1.29
     load_config(lowpass_khz=1.29)
@@ -331,7 +331,7 @@ def test_unknown_override_names_the_nearest():
 
 
 def _section(cls):
-    """Draw every field of a section within its rule."""
+    """Draw values of all fields of a section within their rules."""
     rules = {field.name: field.metadata["rule"] for field in dataclasses.fields(cls)}
     return st.fixed_dictionaries({name: _value(rule) for name, rule in rules.items()})
 
@@ -346,7 +346,7 @@ def _value(rule):
     return st.floats(rule.low, rule.high)
 
 
-# Only grids that are too coarse or too large are passed over.
+# Only settings whose grids are too coarse or too large are skipped.
 @settings(deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
 @given(
     tube=_section(TubeSettings),
@@ -406,7 +406,7 @@ def test_every_shipped_tube_is_a_valid_configuration():
 
 
 def test_surface_is_found_from_the_folder_of_its_file(tmp_path, monkeypatch):
-    """And one that an option names from the folder that the caller is in."""
+    """Names in a file are relative to its folder, names in an option to the current folder."""
     (tmp_path / "walls").mkdir()
     file = tmp_path / "walls" / "tube.toml"
     file.write_text('[tube]\nsurface = "wall.stl"\n')
@@ -417,7 +417,7 @@ def test_surface_is_found_from_the_folder_of_its_file(tmp_path, monkeypatch):
 
 
 def test_errors_cross_processes_with_their_fields():
-    """A worker's error reaches the command whole."""
+    """An error of a worker process reaches the command with all its fields."""
     error = refused(lambda: load_config(depth_mm=12), setting="depth_mm")
     again = pickle.loads(pickle.dumps(error))
     assert str(again) == str(error)

@@ -1,4 +1,4 @@
-"""The laws of contact, the shapes of what presses, and the balance of forces in a pressed tube."""
+"""Laws of contact, shapes of the indenters, and the balance of forces in a pressed tube."""
 
 import itertools
 from functools import partial
@@ -57,10 +57,11 @@ def with_derivatives(law):
 @pytest.mark.parametrize(("name", "order"), CONTINUOUS)
 @pytest.mark.parametrize("end", [-SMOOTHING, SMOOTHING])
 def test_energy_and_its_derivatives_are_continuous_where_the_blend_ends(end, name, order):
-    """The third derivative jumps by k / (2 d): over 2e-6 d the second may change by 1e-6 k.
+    """Values on both sides of the end of the blend differ by no more than their slope.
 
-    Twice that is allowed, in units of k d^(2 - order). The layer's k is E / h; its energy and
-    pressure are continuous, its stiffness is not.
+    The third derivative jumps by k / (2 d): over 2e-6 d the second may change by 1e-6 k. Twice that
+    is allowed, in units of k d^(2 - order). The layer's k is E / h; its energy and pressure are
+    continuous, its stiffness is not.
     """
     law, stiffness = LAWS[name]
     step = 1e-6 * SMOOTHING
@@ -72,8 +73,8 @@ def test_energy_and_its_derivatives_are_continuous_where_the_blend_ends(end, nam
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_nothing_is_felt_beyond_the_blend(name):
-    """Energy, pressure and stiffness are exactly zero: no force at a distance."""
+def test_contact_is_exactly_zero_beyond_the_blend(name):
+    """Energy, pressure and stiffness are exactly zero at a distance."""
     for gap in (SMOOTHING, 1.5 * SMOOTHING, 1e-3):
         assert [float(f(gap)) for f in with_derivatives(LAWS[name][0])] == [0.0, 0.0, 0.0]
 
@@ -103,7 +104,7 @@ def test_layer_pressed_by_a_share_of_its_thickness_bears_minus_e_times_the_logar
 
 @pytest.mark.parametrize("name", LAWS)
 def test_pressure_never_pulls_and_never_falls_with_penetration(name):
-    """Over the blend and beyond; to round-off of a pressure k d."""
+    """Pressure is positive and increases, to the round-off of a pressure k d."""
     law, stiffness = LAWS[name]
     gaps = jnp.linspace(2 * SMOOTHING, -4 * SMOOTHING, 601)
     pressure = -jax.vmap(jax.grad(law))(gaps)
@@ -124,7 +125,7 @@ GAPS = {
 
 
 def rod_surface(u, v):
-    """An endless cylinder, 30 mm of it, whose axis is turned from x towards z by the yaw."""
+    """Surface of a cylinder, 30 mm of it, whose axis is turned from x towards z by the yaw."""
     along = np.array([np.cos(YAW), 0.0, np.sin(YAW)])
     across = np.array([-np.sin(YAW), 0.0, np.cos(YAW)])
     turn = 2 * np.pi * v
@@ -140,7 +141,7 @@ def sphere_surface(u, v):
 
 
 def punch_surface(u, v):
-    """A flat end, a quarter of a circle and a side of 10 mm, by the length along the profile."""
+    """Flat end, quarter circle and 10 mm of the side, by arc length along the profile."""
     flat, arc, side = RADIUS - EDGE, np.pi / 2 * EDGE, 10e-3
     s = u * (flat + arc + side)
     angle = np.clip((s - flat) / EDGE, 0, np.pi / 2)
@@ -154,10 +155,10 @@ SURFACES = {"rod": rod_surface, "sphere": sphere_surface, "punch": punch_surface
 
 
 def nearest(surface, point):
-    """Return the least distance to a surface, by a search that zooms in on its parameters.
+    """Return the least distance to a surface, by a search on ever smaller windows.
 
-    A tenth of the last window, which holds the nearest point, is left at each of nine zooms: the
-    square of the last spacing is far below the round-off.
+    Each of nine zooms keeps a tenth of the last window, which holds the nearest point: the square
+    of the last spacing is far below the round-off.
     """
     centre, half = np.array([0.5, 0.5]), 0.5
     for _ in range(10):
@@ -170,7 +171,7 @@ def nearest(surface, point):
 
 
 def around_the_tool(n=40):
-    """Return points in a box around the lower end of the tools, some inside."""
+    """Return points in a box around the lower end of the tools; some are inside a tool."""
     rng = np.random.default_rng(4)
     return rng.uniform([-6e-3, -2e-3, -6e-3], [6e-3, 6e-3, 6e-3], (n, 3))
 
@@ -190,7 +191,7 @@ def is_inside(name, point):
 
 @pytest.mark.parametrize("name", GAPS)
 def test_gap_is_the_distance_to_the_nearest_point_of_the_surface(name):
-    """Negative inside; the search finds it to 1e-10 m."""
+    """The gap equals the distance found by search, to 1e-10 m; it is negative inside."""
     gap = jax.jit(GAPS[name])
     inside = [is_inside(name, point) for point in around_the_tool()]
     assert 5 < sum(inside) < 35
@@ -200,8 +201,8 @@ def test_gap_is_the_distance_to_the_nearest_point_of_the_surface(name):
 
 
 @pytest.mark.parametrize("name", GAPS)
-def test_gap_grows_by_the_way_that_one_goes_away(name):
-    """A signed distance's gradient is of length one, outside and just inside: to round-off."""
+def test_gradient_of_the_gap_has_length_one(name):
+    """The gradient of a signed distance has length one, outside and just inside, to round-off."""
     points = jnp.asarray(around_the_tool())
     gaps, slopes = jax.jit(jax.vmap(jax.value_and_grad(GAPS[name])))(points)
     outside = np.asarray(gaps) > 0
@@ -211,9 +212,9 @@ def test_gap_grows_by_the_way_that_one_goes_away(name):
 
 @pytest.mark.parametrize("name", GAPS)
 def test_gap_has_finite_derivatives_on_every_line_where_its_formula_changes(name):
-    """On the tool's axis, at its lowest point, on the flat end and where the edge begins.
+    """Derivatives are finite on the axis, at the lowest point, the flat end and the edge's start.
 
-    Only where no point is nearest, on a rod's axis and in a sphere's centre, has it none.
+    They are not where the nearest point is not unique: on a rod's axis and at a sphere's centre.
     """
     across = [0.0, 1e-6, RADIUS - EDGE, RADIUS, 6e-3]
     heights = [-1e-3, 0.0, 1e-6, EDGE, 2e-3]
@@ -227,7 +228,7 @@ def test_gap_has_finite_derivatives_on_every_line_where_its_formula_changes(name
 
 
 def test_flat_end_of_a_punch_is_flat_up_to_its_axis():
-    """Under the end and just inside it the gap is the depth below, without curvature."""
+    """Under the end and just inside it the gap is the height difference, with zero curvature."""
     offsets = itertools.product([0.0, 1e-9, 1e-3, 3.2e-3], [-1e-3, 0.0, 1e-5])
     points = jnp.array([[X + x, y, Z] for x, y in offsets])
     gaps, slopes = jax.jit(jax.vmap(jax.value_and_grad(GAPS["punch"])))(points)
@@ -243,7 +244,7 @@ def test_ground_is_as_high_as_asked():
 
 
 def test_ground_is_rigid_or_the_layer_that_is_asked_for():
-    """A penetration of 0.1 mm: E ln(1 - s) of the layer; more than 100 times that of the floor."""
+    """At 0.1 mm the pressure is E ln(1 - s) of the layer, over 100 times that of a floor."""
     gap = -1e-4
     soft = ground_body(*WALL, 0.0, Layer(thickness=THICKNESS, modulus=MODULUS))
     pressure = -float(jax.grad(soft.law)(gap))
@@ -256,7 +257,7 @@ def test_ground_is_rigid_or_the_layer_that_is_asked_for():
 
 @pytest.fixture(scope="module")
 def outer_wall():
-    """Points of the outer wall, 68 um apart around it."""
+    """Points of the outer wall, 68 um apart in the circumferential direction."""
     mesh = sweep(TUBE, 20e-3, MeshSize(through_wall=1, around=64, along=6, fold=0.0))
     sampling, _ = triangulated(mesh, mesh.outer_faces)
     return sampling @ mesh.points
@@ -267,17 +268,17 @@ R = TUBE.outer_diameter / 2
 
 @pytest.mark.parametrize("shape", ["rod", "sphere", "punch"])
 def test_a_tool_over_the_axis_touches_the_top_line(outer_wall, shape):
-    """There is a vertex on the top line, at the press: to round-off."""
+    """At the outer radius, to round-off: the top line has a vertex at the press."""
     gap = Indenter(shape=shape, diameter=8e-3).gap()
     assert touch_height(outer_wall, gap) == pytest.approx(R, abs=1e-12)
 
 
 @pytest.mark.parametrize("x", [1e-3, 3e-3])
 def test_a_sphere_beside_the_axis_touches_where_the_circles_do(outer_wall, x):
-    """Two circles, R and r, touch when their centres are R + r apart: h = sqrt(..) - r.
+    """Two circles R and r touch when their centres are R + r apart: h = sqrt(..) - r.
 
-    The nearest vertex is up to 34 um from where they do, and the gap between two circles grows by
-    s^2 (1/R + 1/r) / 2 up to 0.25 um: 0.5 um is allowed.
+    The nearest vertex is up to 34 um from the point of contact. Over this distance the gap between
+    two circles grows by s^2 (1/R + 1/r) / 2, which is up to 0.25 um: 0.5 um is allowed.
     """
     r = 4e-3
     height = touch_height(outer_wall, Indenter(shape="sphere", diameter=2 * r, x=x).gap())
@@ -285,24 +286,24 @@ def test_a_sphere_beside_the_axis_touches_where_the_circles_do(outer_wall, x):
 
 
 def test_a_punch_beside_the_axis_touches_with_its_edge(outer_wall):
-    """The edge, a circle e about (x - r + e, h + e), meets the tube's: as for spheres."""
+    """The edge, a circle e about (x - r + e, h + e), touches the tube's, as for spheres."""
     r, e, x = 4e-3, 0.4e-3, 6e-3
     press = Indenter(shape="punch", diameter=2 * r, x=x, edge_radius=e)
     height = touch_height(outer_wall, press.gap())
-    # The edge's spacing counts by 1 / e: 34 um grow to 1.6 um.
+    # The error by the spacing goes as 1 / e: 34 um lead to 1.6 um.
     exact = np.sqrt((R + e) ** 2 - (x - r + e) ** 2) - e
     assert height == pytest.approx(exact, abs=2e-6)
 
 
 def test_a_yawed_rod_touches_at_the_height_of_the_top_line(outer_wall):
-    """An endless rod's lowest line crosses the tube's top line, whatever the angle."""
+    """The lowest line of an endless rod crosses the tube's top line at any angle."""
     gap = Indenter(shape="rod", diameter=10e-3, yaw=0.5).gap()
     assert touch_height(outer_wall, gap) == pytest.approx(R, abs=1e-12)
 
 
 @pytest.mark.parametrize("shape", ["sphere", "punch"])
 def test_a_press_that_misses_is_refused(outer_wall, shape):
-    """Beside the tube by more than both radii."""
+    """The tool is beside the tube, by more than the sum of both radii."""
     gap = Indenter(shape=shape, diameter=4e-3, x=R + 2.1e-3).gap()
     with pytest.raises(ConfigError, match="misses the tube"):
         touch_height(outer_wall, gap)
@@ -323,10 +324,10 @@ def areas(corners, face):
 
 
 def test_flat_face_pressed_on_the_floor_bears_stiffness_times_depth_times_area():
-    """k g A upwards, spread as -1/12 over each corner and 1/3 over each middle of an edge.
+    """The nodal forces are k g A times the integrals of the shape functions.
 
-    These are the integrals of the serendipity shape functions. Forces at nodes alone could not pull
-    at the corners; it is the pressure at the quadrature points that is one-sided.
+    These are -1/12 for each corner and 1/3 for each midside node. Forces at nodes alone could not
+    pull at the corners; it is the pressure at the quadrature points that is one-sided.
     """
     width, length, depth = 2e-3, 3e-3, 10e-6
     corners = (QUAD8.nodes + 1) / 2 * [width, length]
@@ -344,7 +345,7 @@ def test_flat_face_pressed_on_the_floor_bears_stiffness_times_depth_times_area()
 
 
 def test_triangle_pressed_on_the_floor_bears_it_at_the_middles_of_its_edges():
-    """Integrals of the six shape functions: 0 at each corner, a third of k g A at each middle."""
+    """Shape functions integrate to 0 at each corner, a third of k g A at each midside node."""
     width, length, depth = 2e-3, 3e-3, 10e-6
     face = np.insert(TRI6.nodes * [width, length], 1, -depth, axis=1)[None]
     area = areas(face, TRI6)
@@ -357,9 +358,10 @@ def test_triangle_pressed_on_the_floor_bears_it_at_the_middles_of_its_edges():
 
 @pytest.mark.parametrize("name", GAPS)
 def test_contact_forces_and_tangents_are_derivatives_of_the_energy(name):
-    """Central differences over 1e-9 m on a curved face in the tool: 1e-6 of the largest entry.
+    """Forces and tangents are central differences over 1e-9 m, to 1e-6 of the largest entry.
 
-    The face follows the tool 8 um inside, where the law is a parabola; two bodies at once.
+    The face is curved and follows the tool 8 um inside it, where the law is a parabola; there are
+    two bodies.
     """
     rng = np.random.default_rng(3)
     flat = np.array([X, Z]) + (QUAD8.nodes + 1) * [0.3e-3, 0.4e-3]
@@ -382,9 +384,10 @@ def test_contact_forces_and_tangents_are_derivatives_of_the_energy(name):
 
 
 def test_touched_area_is_that_of_the_points_inside():
-    """A tilted face whose middle is just above the floor: two of the five columns of points touch.
+    """Two of five columns of quadrature points of a tilted face are below the floor.
 
-    Of Gauss's weights the middle column has 64 / 225; the other four are shared in halves.
+    In Gauss's weights the middle column has 64 / 225; the other four columns share the rest in
+    halves.
     """
     corners = QUAD8.nodes * [2e-3, 1e-3]
     tilted = np.insert(corners, 1, corners[:, 0] * 0.01 + 1e-7, axis=1)[None]
@@ -400,10 +403,10 @@ MU, NU = 0.5e6, 0.49
 
 
 def pressed_block(rod, width, reach, cells):
-    """Press a rod into a block in plane strain, until it touches a half width of about `width`.
+    """Press a rod into a block in plane strain, up to a contact half width of about `width`.
 
-    The block is `reach` half widths wide and deep, on a plane that it may slide on, with `cells`
-    elements over the half width and longer and longer ones beyond twice that.
+    The block is `reach` half widths wide and deep and slides on a plane without friction. It has
+    `cells` elements over the half width, and longer and longer ones beyond twice the half width.
 
     Returns
     -------
@@ -440,13 +443,13 @@ def pressed_block(rod, width, reach, cells):
 
 
 def test_pressed_block_has_the_width_and_the_pressure_of_hertz():
-    """Half width b = sqrt(4 F' R / (pi E*)), peak pressure 2 F' / (pi b), E* = 2 mu / (1 - nu).
+    """Hertz: b = sqrt(4 F' R / (pi E*)), peak pressure 2 F' / (pi b), E* = 2 mu / (1 - nu).
 
-    A rod of 25 mm radius is pressed in until b is 0.26 mm, which is b / R = 1 %: strains are of
+    A rod of 25 mm radius is pressed in until the half width b is 0.26 mm, b / R = 1 %: strains are
     half that. The second moment of the elliptic pressure is b^2 / 4. The measured errors are
-    -0.13 % of b and 0.15 % of the pressure that follows from the force; the block's size leaves
-    some (b / d)^2 = 0.25 %: 0.5 % is allowed. Half the elements, of a smaller block, miss the
-    pressure by 5 %.
+    -0.13 % of b and 0.15 % of the pressure that follows from the force. The finite size of the
+    block has an effect of some (b / d)^2 = 0.25 %: 0.5 % is allowed. With half as many elements, in
+    a smaller block, the pressure is off by 5 %.
     """
     rod, width = 25e-3, 0.25e-3
     force, middle, half_width = pressed_block(rod, width, reach=20, cells=4)
@@ -479,11 +482,11 @@ def pressed():
 
 @pytest.mark.slow
 def test_contact_force_is_the_slope_of_the_converged_energy(pressed):
-    """F = -dE/d(rod height) = dE/d(depth), by a central difference of two more equilibria.
+    """F = -dE/d(rod height) = dE/d(depth), by a central difference between two more equilibria.
 
-    A step of 0.2 um is within the contact's onset, and the difference's own error some
-    (h / onset)^2 of the force's change over it, 1e-7. The force comes from the rod's pressure
-    alone; the energy knows the wall and the floor as well.
+    The step of 0.2 um is within the contact's onset; the difference has an error of some (h /
+    onset)^2 of the force's change over it, 1e-7. The force is the integral of the rod's pressure
+    alone, while the energy includes the wall and the floor.
     """
     press, model, equilibrium = pressed
     step = 2e-7
@@ -496,9 +499,9 @@ def test_contact_force_is_the_slope_of_the_converged_energy(pressed):
 
 @pytest.mark.slow
 def test_floor_bears_what_the_rod_presses(pressed):
-    """No vertical displacement is held: the forces on both sum to the out-of-balance forces.
+    """The forces of rod and floor sum to the out-of-balance forces.
 
-    n nodes with a residual of norm r sum to sqrt(n) r at most, on each of four copies.
+    Those of n nodes with a residual of norm r sum to sqrt(n) r at most, on each of four copies.
     """
     press, model, equilibrium = pressed
     displacement, bodies = equilibrium(DEPTH)

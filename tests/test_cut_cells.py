@@ -1,4 +1,4 @@
-"""Cut cells against exact geometry: the divergence theorem leaves nothing to approximate."""
+"""Cut cells against exact geometry: volumes by the divergence theorem are exact to rounding."""
 
 import numpy as np
 import pytest
@@ -34,13 +34,13 @@ def cell_wise_volume(box, cell):
     points = np.random.default_rng(0).uniform(lower, upper, (4000, 3))
     distance = (points @ faces[:, :3].T + faces[:, 3]).max(axis=1)
     if distance.min() > -1e-4:
-        return None  # no safe interior point for the oracle
+        return None  # the reference has no safe interior point
     body = HalfspaceIntersection(np.vstack([faces, sides]), points[distance.argmin()])
     return ConvexHull(body.intersections).volume / np.prod(SPACING)
 
 
 def test_fractions_of_a_rotated_box_match_half_space_intersection():
-    """Independent oracle: qhull. 1e-9 is qhull's own accuracy in these small cells."""
+    """The reference is qhull, which is accurate to 1e-9 in these small cells."""
     box = rotated_box()
     volume = cut_polyhedron(box.triangles, ORIGIN, SPACING, SHAPE).volume
     cut = np.argwhere((volume > 0.05) & (volume < 0.95))[::7]
@@ -62,7 +62,7 @@ def test_total_volume_equals_mesh_volume_at_any_offset(body, shift):
 
 
 def test_body_on_grid_planes_fills_its_cells_exactly():
-    """Faces in grid planes belong to the lumen's side: no half-counted layer."""
+    """Faces in grid planes belong to the side of the lumen: no layer is counted by half."""
     box = trimesh.creation.box((0.4, 0.44, 0.48))
     parts = cut_polyhedron(box.triangles, (-0.5, -0.55, -0.6), SPACING, (10, 10, 10))
     expected = np.zeros((10, 10, 10))
@@ -73,11 +73,11 @@ def test_body_on_grid_planes_fills_its_cells_exactly():
 
 
 def test_open_areas_close_every_cell():
-    """Signed open faces plus the wall's vector area vanish cell by cell.
+    """Signed open faces plus the vector area of the wall vanish in each cell.
 
     The wall's area inside each cell comes from an independent quadrature: every triangle is
-    subdivided until its pieces are small against a cell, and each piece is given to the cell of
-    its centroid. Pieces that straddle a plane leave an error of their size, 2e-2 of a face.
+    subdivided until its pieces are small against a cell, and each piece is attributed to the cell
+    of its centroid. Pieces that straddle a plane leave an error of their size, 2e-2 of a face.
     """
     sphere = trimesh.creation.icosphere(3, radius=0.4)
     parts = cut_polyhedron(sphere.triangles, ORIGIN, SPACING, SHAPE)
@@ -133,7 +133,7 @@ def test_first_layer_is_full_and_the_last_ends_at_the_cap():
 
 
 def test_sharing_keeps_volume_and_the_plane_wave():
-    """Volumes move between neighbours; in a straight tube V stays equal to the axial faces."""
+    """Volumes move between neighbours; in a straight tube volumes stay equal to axial faces."""
     cells = with_straight_ends(cut_cells(straight_tube(0.01), 2 * BORE / 32), 0, 6)
     shared = share_small_volumes(cells)
     assert shared.volume_fraction.sum() == pytest.approx(cells.volume_fraction.sum(), rel=1e-9)
@@ -143,7 +143,7 @@ def test_sharing_keeps_volume_and_the_plane_wave():
 
 
 def test_sharing_keeps_the_volume_of_a_pinched_lumen():
-    """Padding, the last resort, touches so little that 1e-4 of the volume bounds it."""
+    """Padding of cells, the last resort, changes the volume by less than 1e-4."""
     cells = cut_cells(pinched_tube(0.02, 0.7), 2 * BORE / 24)
     shared = share_small_volumes(cells)
     assert shared.volume_fraction.sum() == pytest.approx(cells.volume_fraction.sum(), rel=1e-4)
@@ -161,7 +161,7 @@ def test_open_surface_is_refused():
 def long_tube():
     """A pinched tube between straight ends of different lengths, neither in whole layers."""
     tube = pinched_tube(0.0722, 0.7, width=3e-3, centre=0.03)
-    straight = np.abs(tube.vertices[:, 2] - 0.03) > 0.012  # the round bore, but for exp(-16)
+    straight = np.abs(tube.vertices[:, 2] - 0.03) > 0.012  # the round bore up to exp(-16)
     round_bore = pinched_tube(0.0722, 0.0)
     return trimesh.Trimesh(
         np.where(straight[:, None], round_bore.vertices, tube.vertices), tube.faces, process=False
@@ -170,7 +170,7 @@ def long_tube():
 
 @pytest.mark.parametrize("half", [False, True])
 def test_copied_layers_of_straight_ends_are_those_that_would_be_cut(half):
-    """The same surface, narrower by up to 1e-7 of itself, has no layers that can be copied."""
+    """The reference is the surface narrowed by up to 1e-7, which has no layers to copy."""
     tube, spacing = long_tube(), (2 * BORE / 16, 2 * BORE / 16, 4.3e-4)
     narrowing = tube.copy()
     narrowing.vertices[:, :2] *= 1.0 - 1e-7 * narrowing.vertices[:, 2:] / 0.0722
@@ -184,7 +184,7 @@ def test_copied_layers_of_straight_ends_are_those_that_would_be_cut(half):
 
 
 def rectangular_duct(subdivisions):
-    """8 mm wide and high, 30 mm long, its walls on the planes of a grid of 0.5 mm."""
+    """Duct 8 mm wide and high, 30 mm long, with walls on the planes of a grid of 0.5 mm."""
     duct = trimesh.creation.box((8e-3, 8e-3, 30e-3))
     duct.apply_translation((0, 0, 15e-3))
     for _ in range(subdivisions):
@@ -194,7 +194,7 @@ def rectangular_duct(subdivisions):
 
 @pytest.mark.parametrize("subdivisions", [0, 5])
 def test_walls_on_grid_planes_close_the_cells_within(subdivisions):
-    """Whatever their facets are: of fine ones, some lie wholly in the layers that are copied."""
+    """For facets of any size; some fine ones are within the copied layers."""
     cells = cut_cells(rectangular_duct(subdivisions), 5e-4)
     full = np.zeros(cells.shape)
     full[:, :, :-1], full[:, :, -1] = 1.0, 0.5
@@ -205,7 +205,7 @@ def test_walls_on_grid_planes_close_the_cells_within(subdivisions):
 
 
 def test_facets_of_a_straight_wall_may_have_any_shape():
-    """Points on the walls of a duct, joined at random; in copied layers facets would be turned."""
+    """The walls of a duct are triangulated at random; copying layers must not turn the facets."""
     rng = np.random.default_rng(3)
     duct = rectangular_duct(4)
     transverse, along = np.abs(duct.vertices[:, :2]), duct.vertices[:, 2:]
@@ -219,7 +219,7 @@ def test_facets_of_a_straight_wall_may_have_any_shape():
 
 
 def test_sharing_is_the_same_without_repeated_layers(monkeypatch):
-    """The cells of a long straight end borrow as those of a short one do."""
+    """Cells of a long straight end share volume as those of a short one do."""
     cells = with_straight_ends(cut_cells(pinched_tube(0.02, 0.7), 2 * BORE / 24), 40, 40)
     short, layers = without_repeated_layers(cells, 3)
     assert short.shape[2] < cells.shape[2] - 60

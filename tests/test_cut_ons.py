@@ -1,4 +1,4 @@
-"""Cut-on frequencies and stable step: the discrete operator against Bessel's zeros."""
+"""Cut-on frequencies and stable time step: the discrete operator against Bessel's zeros."""
 
 from dataclasses import replace
 
@@ -69,14 +69,14 @@ def cut_on_errors(resolution, offset):
 
 @pytest.mark.parametrize("offset", OFFSETS)
 def test_operator_cuts_on_at_bessel_zeros(offset):
-    """0.2 % at 32 cells per bore, wherever the wall lies within the cells (j' of Bessel)."""
+    """Right within 0.2 % at 32 cells per bore, wherever the wall lies within the cells."""
     errors = np.abs(cut_on_errors(32, offset))
     assert errors[:2].max() < 0.7e-3
     assert errors[2:].max() < 2.0e-3
 
 
 def test_cut_ons_converge_at_second_order():
-    """Observed order over 16, 32, 64 cells of the worst error over two offsets: 1.8 or more."""
+    """The order over 16, 32 and 64 cells of the larger error of two offsets is 1.8 or more."""
     worst = [
         np.abs([cut_on_errors(n, offset) for offset in OFFSETS[1:3]]).max(axis=0)
         for n in (16, 32, 64)
@@ -86,7 +86,7 @@ def test_cut_ons_converge_at_second_order():
 
 
 def section_errors(resolution, walls):
-    """Worst relative errors over all offsets of the five lowest cut-ons, the plane mode apart."""
+    """Largest relative errors over all offsets of the five lowest cut-ons."""
     exact = [cut_on_frequency(m, 1, BORE, AIR.sound_speed) for m in (1, 1, 2, 2, 0)]
     found = [
         section_cut_ons(walls(slice_of_tube(resolution, offset, 2)), 1, AIR.sound_speed, 6)[1:]
@@ -95,10 +95,11 @@ def section_errors(resolution, walls):
     return np.abs(np.array(found) / exact - 1).max(axis=0)
 
 
-def test_first_five_modes_cut_on_right_where_a_staircase_is_off_by_per_cents():
-    """Measured at 16, 32, 64 cells: cut cells at worst 0.74, 0.18, 0.04 %, of order 2.0 or more.
+def test_cut_ons_of_cut_cells_are_right_and_of_whole_cells_are_not():
+    """Cut-ons of cut cells are compared with those of whole cells, at 16, 32 and 64 cells.
 
-    Whole cells 6.3, 2.5, 1.2 %.
+    Measured: cut cells at worst 0.74, 0.18, 0.04 %, of order 2.0 or more; whole cells 6.3, 2.5,
+    1.2 %.
     """
     cut = np.array([section_errors(n, share_small_volumes) for n in (16, 32, 64)])
     whole = np.array([section_errors(n, staircase) for n in (16, 32, 64)])
@@ -110,7 +111,7 @@ def test_first_five_modes_cut_on_right_where_a_staircase_is_off_by_per_cents():
 
 @pytest.mark.parametrize("offset", OFFSETS[1:3])
 def test_closed_slice_rings_at_the_cut_ons(offset):
-    """FFT of a random start; 8 ms resolve the peaks to a few Hz, 0.02 % of the cut-on."""
+    """Spectral peaks after a random start; 8 ms resolve them to a few Hz, 0.02 %."""
     cells = slice_of_tube(32, offset, n_layers=2)
     setup = prepare(cells, AIR, probes=(0.0,), source_end="rigid", far_end="rigid")
     alive = setup.cells.volume_fraction > 0.0
@@ -142,7 +143,10 @@ def spectral_peaks(signal, time_step, lowest, highest):
 
 
 def test_stable_step_is_close_to_the_exact_limit():
-    """The largest eigenvalue against ARPACK's on one layer; the step stays above 0.9 Cartesian."""
+    """The largest eigenvalue is compared with ARPACK's on one layer, within 1 %.
+
+    The step stays above 0.9 of that of a Cartesian grid.
+    """
     cells = share_small_volumes(slice_of_tube(16, (0.13, 0.37)))
     with jax.enable_x64(True):
         operator = assemble(cells, AIR, 0.0, dtype=jnp.float64)
@@ -155,7 +159,7 @@ def test_stable_step_is_close_to_the_exact_limit():
     assert found == pytest.approx(exact, rel=0.01)
     cells = cut_cells(pinched_tube(0.03, 0.6), 2 * BORE / 20, half=True)
     cartesian = cells.spacing[0] / (AIR.sound_speed * np.sqrt(3.0))
-    assert 0.8 * cartesian < stable_step(cells, AIR) < cartesian
+    assert 0.9 * cartesian < stable_step(cells, AIR) < cartesian
 
 
 def symmetrised(matrix, volume):

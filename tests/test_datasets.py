@@ -1,4 +1,4 @@
-"""Datasets of cycles: labels, seeds, one schema with recordings, and nothing lost."""
+"""Datasets of cycles: labels, seeds, the schema of recordings, and completion after interrupts."""
 
 import json
 from concurrent.futures import ThreadPoolExecutor
@@ -58,7 +58,7 @@ def test_every_case_tube_and_session_has_its_cycles(dataset):
     data = acoustube.open_dataset(dataset)
     assert data["signal"].shape == (8 * 3 * 2 * 2, 4000)
     assert data["signal"].dtype == np.uint16
-    # Every combination as often as it should be; two specimens of one tube, each in two sessions.
+    # Every combination occurs three times; two specimens of one tube, each in two sessions.
     table = data[["press", "tube", "session"]].to_dataframe().reset_index()
     assert set(table.groupby(["press", "tube", "session"]).size()) == {3}
     assert table["press"].nunique() == 8
@@ -79,7 +79,7 @@ def test_labels_are_those_of_the_sweep(sweep, dataset):
     np.testing.assert_array_equal(data["true_distance"].values[pressed], distance[pressed])
     assert np.isnan(data["true_distance"].values[~pressed]).all()
     assert set(data["air_temperature"].values) == {15.0, 25.0}
-    # The board's own reading is off by up to half a kelvin, and 0.1 K from cycle to cycle.
+    # The board's reading has an offset of up to half a kelvin, and 0.1 K of noise between cycles.
     error = data["temperature"].values - data["air_temperature"].values
     of_session = pd.Series(error).groupby(data["session"].values)
     assert (of_session.mean().abs() < 0.6).all()
@@ -88,7 +88,7 @@ def test_labels_are_those_of_the_sweep(sweep, dataset):
 
 
 def test_cycles_are_those_of_the_rangefinder(sweep, dataset):
-    """The same counts as `ranging.record` gives of the case's scattering."""
+    """The counts equal those of `ranging.record` for the scattering of the case."""
     cycles = acoustube.open_dataset(dataset).load()
     chosen = (cycles["depth"].values > 0) & (cycles["air_temperature"].values == 25)
     first = cycles.isel(cycle=int(np.argmax(chosen)))
@@ -121,7 +121,7 @@ def test_specimens_sessions_and_cycles_differ(dataset):
 
 
 def test_cycles_of_a_session_share_its_drift(dataset):
-    """An hour's slow drift of 11 counts rms, one curve for all cases; another in each session."""
+    """All cases of a session have one slow drift of 11 counts rms over an hour."""
     data = acoustube.open_dataset(dataset).load()
     offset = data["signal"].isel(time=slice(3800, None)).mean("time").values
     name = data["session"].values[0]
@@ -130,12 +130,12 @@ def test_cycles_of_a_session_share_its_drift(dataset):
     cycles = np.array([seed_of(str(press)) % 72_000 for press in first])
     drift = digitiser._drift(counts, cycles, seed_of(name[:-2], int(name[-1]), 7))
     expected = (counts.offset + drift) * 4096 / 1.8
-    # Three cycles of a case are within 0.2 s; what is left of the sound is under a count.
+    # Three cycles of a case are within 0.2 s; the rest of the sound is under a count.
     assert np.abs(offset[data["session"].values == name] - expected).max() < 1.5
     assert np.abs(offset[data["session"].values != name][: len(first)] - expected).max() > 3
 
 
-def test_workers_and_files_of_the_sweep_do_not_matter(sweep, dataset, tmp_path, monkeypatch):
+def test_dataset_does_not_depend_on_workers_or_files(sweep, dataset, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ["--cycles", "3", "--tubes", "2", "--sessions", "2", "--seed", "7", "--quiet"]
     assert main(["dataset", str(sweep), *words, "--workers", "2", "--out", "two"]) == 0
@@ -163,7 +163,7 @@ def test_other_seeds_make_other_noise(sweep, dataset, tmp_path):
     assert (a != b).any(axis=1).all()
 
 
-def test_dataset_is_a_recording_to_the_rest(dataset):
+def test_dataset_is_read_and_processed_as_a_recording(dataset):
     ((_, data),) = recordings.read_all([dataset])
     assert data.attrs["sampling_rate"] == 200e3
     found = signals.locate(
@@ -200,7 +200,7 @@ def test_interrupted_dataset_goes_on_and_a_damaged_file_is_mended(
     )
 
 
-def test_card_tells_what_there_is(dataset):
+def test_card_states_the_contents(dataset):
     text = (dataset / "README.md").read_text()
     assert "96 simulated cycles of 4000 samples at 200 kHz" in text
     assert "* cycles without contact: 48" in text
@@ -286,7 +286,7 @@ def test_rangefinder_that_is_written_is_read_again(face, tmp_path):
 
 
 def test_file_of_a_sensor_records_but_for_a_wrapped_tube(tmp_path):
-    """A design's file states the tube's length too; cycles of a wrapped tube would be wrong."""
+    """A design's file, with the tube's length, is accepted; one of a wrapped tube is not."""
     path = tmp_path / "sensor.toml"
     path.write_text("length_cm = 200\nnoise = 0.001\n[priors]\nstretch = 0.001\n")
     settings, _ = recipe_settings([path])

@@ -1,4 +1,4 @@
-"""States between the depths of a press: against presses to these depths."""
+"""States interpolated between the depths of a press, against presses to these depths."""
 
 import dataclasses
 
@@ -41,8 +41,11 @@ def test_path_goes_through_its_rows(path):
 
 
 def test_states_between_rows_are_those_of_presses_to_their_depth(solved, path):
-    """Displacements within the estimate, measured an eighth to a fifth of it, and 10 um, where
-    those of the rows on either side are 250 um away; forces to 0.2 %, measured 0.06 %."""
+    """Interpolated displacements are within the estimate and 10 um, forces within 0.2 %.
+
+    Measured an eighth to a fifth of the estimate, and 0.06 % of the force; the rows on either side
+    are 250 um away.
+    """
     between = solved.depth[1::2]
     error = np.abs(path.displacement(between) - solved.displacement[1::2]).max(axis=(1, 2))
     assert np.all(error < path.error(between).displacement)
@@ -51,8 +54,8 @@ def test_states_between_rows_are_those_of_presses_to_their_depth(solved, path):
     assert path.contact_force(between) == pytest.approx(force, rel=2e-3)
 
 
-def test_estimate_tells_rows_too_far_apart(solved, path):
-    """Rows 1 mm apart are off by more than rows 0.5 mm apart, and say so."""
+def test_estimate_grows_with_the_distance_of_the_rows(solved, path):
+    """Rows 1 mm apart have a larger error than rows 0.5 mm apart, and a larger estimate."""
     far = DepthPath(rows_of(solved, [0, 2, 4, 8, 12]))
     place = 2.5e-3
     off = np.abs(far.displacement(place) - solved.displacement[10]).max()
@@ -62,7 +65,7 @@ def test_estimate_tells_rows_too_far_apart(solved, path):
 
 
 def test_derivatives_are_slopes_and_have_no_step_at_a_row(path):
-    """By central differences of 1 um, on a curve whose third derivative is under 1e8 N/m3."""
+    """Central differences over 1 um of a curve with a third derivative under 1e8 N/m3."""
     step, depth = 1e-6, np.array([0.8e-3, 1.7e-3])
     for value in (path.displacement, path.contact_force):
         slope = (value(depth + step) - value(depth - step)) / (2 * step)
@@ -74,7 +77,7 @@ def test_derivatives_are_slopes_and_have_no_step_at_a_row(path):
 
 
 def test_rows_at_any_depth_are_measured_like_solved_ones(solved, path):
-    """The lumen's section at 1.75 mm: height and width to 3 um, the area to 0.1 %."""
+    """The section at 1.75 mm is that of a press: height and width to 3 um, the area to 0.1 %."""
     found = path.at([0.9e-3, 1.75e-3])
     assert isinstance(found, Indentation)
     assert list(found.depth) == [0.9e-3, 1.75e-3]

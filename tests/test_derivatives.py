@@ -1,4 +1,4 @@
-"""Derivatives of force and area by the design, against new equilibria of changed designs."""
+"""Derivatives of force and area by design parameters, against equilibria of changed designs."""
 
 import dataclasses
 from functools import cache
@@ -34,7 +34,7 @@ def closed(shape, support):
 
 
 def settled(indentation, increment, design):
-    """Return force and area of a changed design: Newton from the known state, to round-off."""
+    """Return force and area of a changed design, by Newton's method to round-off."""
     tube = dataclasses.replace(
         indentation.tube,
         shear_modulus=design.shear_modulus,
@@ -72,11 +72,12 @@ def settled(indentation, increment, design):
     ],
 )
 def test_derivatives_are_those_of_central_differences(shape, support, depth_mm):
-    """Steps of 1e-5, which move a wall by less than the width of a contact's onset: 1e-4 is asked.
+    """Compared with differences of the fourth order over steps of 1e-5, within 1e-4.
 
-    Of the fourth order: at 7.9 mm the force bends by 3e-4 within such a step. At 7.9 and 8.1 mm the
-    lumen is closed and its walls press on each other. The area does not depend on the modulus at
-    all, by dimensional analysis: there 1e-4 of area per modulus.
+    Such a step moves a wall by less than the width of a contact's onset; at 7.9 mm the force bends
+    by 3e-4 within it. At 7.9 and 8.1 mm the lumen is closed and its walls press on each other. By
+    dimensional analysis the area does not depend on the modulus: there 1e-4 of area per modulus is
+    allowed.
     """
     indentation = closed(shape, support)
     (increment,) = np.flatnonzero(indentation.depth == 1e-3 * depth_mm)
@@ -101,11 +102,11 @@ def test_derivatives_are_those_of_central_differences(shape, support, depth_mm):
 
 
 def test_derivatives_along_a_line_through_the_designs_are_those_of_differences():
-    """All parameters at once, of a closed lumen under a rod, as above to 1e-4 of the whole.
+    """All parameters change at once, for a closed lumen under a rod; within 1e-4 of the sum.
 
-    The tube gets stiffer by each of the terms, so that none cancels another. The tool's diameter
-    matters least and has the largest weight: an error of a hundredth in any term is noticed, but
-    for the area by the modulus, which is zero.
+    Each term makes the tube stiffer, so that none cancels another. The tool's diameter matters
+    least and has the largest weight: an error of a hundredth in any term is detected, except in the
+    area's derivative by the modulus, which is zero.
     """
     weights = Design(0.1, 0.1, -0.1, 1.0)
     indentation = closed("rod", "held")
@@ -149,7 +150,7 @@ def test_what_cannot_be_differentiated_is_refused():
 
 @pytest.mark.long
 def test_length_of_the_mesh_and_a_layer_are_part_of_the_design():
-    """dF/dmu = F / mu on a longer piece; on a layer, a thicker wall against a new equilibrium."""
+    """dF/dmu = F / mu on a longer piece; a thicker wall on a layer, by a new equilibrium."""
     tube, tool = Tube(), Indenter(diameter=25e-3)
     longer = sweep(tube, 80e-3, SIZE)
     press = indent(tube, tool, depth=5e-4, support="free", mesh=longer)

@@ -1,4 +1,4 @@
-"""Design of a sensor: predicted errors, their derivatives, the search, and its files."""
+"""Design of a sensor: predicted errors, their derivatives, the search, and the files."""
 
 import csv
 import dataclasses
@@ -46,7 +46,7 @@ from acoustube.runs.sweep.tasks import Done
 BAND = np.arange(8e3, 50e3, 100.0)
 COARSE = np.arange(8e3, 50e3, 300.0)
 ASKED = 2.0, 0.15, 0.01, 0.25
-"""Reach, separation and error of place in m of a goal."""
+"""Reach, separation, position error and distance of the nearest press, in m, of a goal."""
 
 
 def analytic(frequency=BAND, **changes):
@@ -87,7 +87,7 @@ def test_nonsense_is_refused_with_the_name_of_the_argument(argument, value):
 
 
 def test_square_burst_has_the_spectrum_of_the_rangefinders_own():
-    """For whole half periods; between them it is continuous."""
+    """Spectra agree for whole half periods, and the design's is continuous between them."""
     with jax.enable_x64(True):
         for carrier, cycles, quality in ((42e3, 13.0, 14.0), (10e3, 3.5, 2.0)):
             r = Rangefinder(
@@ -118,10 +118,10 @@ def test_gradient_of_the_score_is_that_of_differences(known):
 
 
 def test_bound_is_that_of_the_inversions_jacobian():
-    """Of place and depth, at three contacts, against the forward model with three modes.
+    """For position and depth of three contacts, against the forward model with three modes.
 
-    It has a tapered band, noise that is not tapered, two nuisance parameters of the transducer and
-    reflections by the face, which change the deviations by some per cent.
+    The forward model has a tapered band with noise that is not tapered, two nuisance parameters of
+    the transducer and reflections by the face, which change the deviations by some per cent.
     """
     library = Library((tool(),))
     base = Baseband(Rangefinder(), RADIUS, 2.5, 20.0, library.modes)
@@ -148,7 +148,7 @@ def test_bound_is_that_of_the_inversions_jacobian():
 
 
 def bound(known, electronics):
-    """Return covariances in units of the priors, with every rangefinder heard."""
+    """Return covariances in units of the priors, with the echoes of all rangefinders."""
     weight = weight_of(known, electronics)
     heard = np.stack([np.ones(known.place.shape[1]), np.zeros(known.place.shape[1])])
     matrix, *_ = predicting._information(known, weight, electronics[0], heard)
@@ -164,7 +164,7 @@ def weight_of(known, electronics):
 
 
 def test_distance_of_half_waves_is_that_of_least_squares(known):
-    """Against a dense least-squares fit of all six parameters, with rows for their priors."""
+    """The reference is a dense fit of six parameters, with rows for their priors."""
     electronics = [float(x) for x in electronics_of(Rangefinder())]
     with jax.enable_x64(True):
         weight = weight_of(known, electronics)
@@ -177,7 +177,7 @@ def test_distance_of_half_waves_is_that_of_least_squares(known):
         alone = information([tube], contacts(given[i], forces[i]))
         echo = tube.reflection_at(tube.depth_at(forces[i : i + 1]))[0]
         columns = (alone.echoes[0, 0] / np.where(np.abs(echo) > 0, echo, 1)).conj()
-        # The conjugate columns times the echo and the attenuation, of which the root is left.
+        # The conjugate columns times echo and attenuation; the square root of these remains.
         left = alone.power[0, 0] / np.abs(echo) ** 2
         scaled = np.sqrt(weight / left) * columns
         for k in range(len(HALF_WAVES)):
@@ -191,7 +191,7 @@ def test_distance_of_half_waves_is_that_of_least_squares(known):
 
 
 def test_narrow_pulses_err_by_half_waves_and_faint_echoes_are_missed(known):
-    """The longer the pulse and the fainter the echo, the worse; a second rangefinder helps."""
+    """Longer pulses and fainter echoes have larger errors; a second rangefinder reduces them."""
     usual = electronics_of(Rangefinder())
     found = predict(known, usual)
     long, faint, two = (
@@ -218,7 +218,7 @@ def test_many_electronics_are_predicted_as_each_alone(known):
 
 
 def test_contact_alone_is_predicted_as_among_others(known):
-    """Also where it is faint, and the priors of place and depth count."""
+    """Also for a faint contact, for which the priors of position and depth matter."""
     for level in (1.0, 0.05):
         usual = electronics_of(Rangefinder())
         usual = usual._replace(level=level * usual.level)
@@ -230,8 +230,8 @@ def test_contact_alone_is_predicted_as_among_others(known):
                 assert getattr(alone, name)[0] == pytest.approx(expected, rel=1e-6), name
 
 
-def test_missed_presses_make_the_error_of_what_is_missed():
-    """With the noise of half of them missed, the shares are as by hand and sum to one."""
+def test_missed_presses_have_the_error_of_their_prior():
+    """With half of them missed, the shares of the error are as by hand and sum to one."""
     tube = analytic()
     known = information([tube], contacts(np.linspace(0.4, 1.6, 8), np.full(8, 20.0)))
     usual = electronics_of(Rangefinder())
@@ -239,7 +239,7 @@ def test_missed_presses_make_the_error_of_what_is_missed():
     found = predict(known, usual._replace(level=usual.level * echo[4]))
     assert found.found[4] == pytest.approx(0.5, abs=0.01)
     prior, scale = np.log(90 / 4) ** 2 / 12, known.scale[1]
-    # Depth, in units of its prior: of detected contacts, of which the others' prior is taken.
+    # Variance of the depth of detected contacts, in units of its prior: less that of missed ones.
     heard = ((found.depth / scale) ** 2 - (1 - found.found)) / found.found
     heard = (known.slope * scale) ** 2 * heard + 0.05**2
     expected = found.found / (1 / heard + 1 / prior) + (1 - found.found) * prior
@@ -263,7 +263,7 @@ def test_ring_down_ends_where_the_inversion_begins(known, carrier):
 
 
 def test_resolution_is_that_of_the_bandwidth(known):
-    """c / 2B of a pulse with an even spectrum, of which the received power is a Gaussian's."""
+    """c / 2B, with B the width of an even spectrum that is equivalent to the received power."""
     usual = electronics_of(Rangefinder())
     f = known.frequency
     power = np.asarray(spectrum(f, usual))
@@ -274,7 +274,7 @@ def test_resolution_is_that_of_the_bandwidth(known):
     assert predict(known, usual).resolution == pytest.approx(expected, rel=1e-3)
 
 
-def test_force_beyond_the_tubes_range_is_told_by_its_prior_alone():
+def test_force_beyond_the_tubes_range_has_the_error_of_its_prior():
     tube = analytic()
     found = predict(information([tube], contacts([0.5], [1.5 * tube.force[-1]])),
                     electronics_of(Rangefinder()))  # fmt: skip
@@ -282,7 +282,7 @@ def test_force_beyond_the_tubes_range_is_told_by_its_prior_alone():
 
 
 def test_hardness_scales_the_forces_and_needs_no_other_press():
-    """A wall twice as stiff under twice the force is pressed to the same depth."""
+    """A wall twice as stiff under twice the force is at the same depth."""
     tube, forces = analytic(), np.array([12.0, 30.0])
     once = information([tube], contacts([0.5, 0.9], forces))
     twice = information([tube], contacts([0.5, 0.9], 2 * forces, stiffness=2.0), modulus=2.0)
@@ -302,7 +302,7 @@ def made_up(spec):
 
 @pytest.fixture
 def small(monkeypatch):
-    """Fewer electronics and contacts, of one shape, which is compiled once."""
+    """Use fewer electronics and contacts, of one shape, which is compiled once."""
     for name, value in (("CARRIERS", 4), ("PULSES", 2), ("HARDNESSES", 2), ("CONTACTS", 8)):
         monkeypatch.setattr(searching, name, value)
     monkeypatch.setattr(choosing, "CONTACTS", 8)
@@ -313,7 +313,10 @@ def small(monkeypatch):
 @pytest.mark.usefixtures("small")
 @pytest.mark.parametrize("seeds", [(0, 1), pytest.param((0, 1, 2), marks=pytest.mark.long)])
 def test_search_from_other_seeds_ends_within_five_per_cent(seeds):
-    """On echoes with one best tube, which is not among the first; of at most 105 tubes 30."""
+    """Searches from several seeds end at one best tube, which is not among the first tubes.
+
+    Synthetic echoes; 30 of at most 105 tubes are computed.
+    """
     design = DesignGoal(goal=Goal(forces_n=(2, 15)), variables=Variables(carrier_khz=(15, 40)))
 
     def compute(specs):
@@ -401,7 +404,7 @@ def test_goal_is_read_back_from_its_own_file(tmp_path):
 
 
 def instead(plan):
-    """Return the sound of a made-up tube over a plan's band, in place of its presses."""
+    """Return the sound of a made-up tube over a plan's band, instead of computing its presses."""
     frequency = np.arange(*plan.band, 300.0)
     bore = 1e3 * plan.settings.tube.inner_diameter
     one = made_up(TubeSpec(bore, 1.6, 35.0))[0]
@@ -425,7 +428,7 @@ def quick(monkeypatch, small):  # noqa: ARG001
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_command_writes_front_sensors_maps_and_page(tmp_path):
-    """Sensors that other commands read; the paper's is among them."""
+    """The command writes sensors that other commands read; that of the paper is among them."""
     (tmp_path / "goal.toml").write_text("[goal]\nforces_n = [2, 15]\n[variables]\nends = [1, 2]")
     out = tmp_path / "out"
     words = ["design", tmp_path / "goal.toml", "--out", out, "--tubes", 4, "--robust"]
@@ -464,7 +467,7 @@ def test_command_writes_front_sensors_maps_and_page(tmp_path):
 
 
 @pytest.mark.usefixtures("quick")
-def test_goal_that_no_tube_meets_is_said(tmp_path):
+def test_goal_that_no_tube_meets_is_reported(tmp_path):
     (tmp_path / "goal.toml").write_text("[goal]\nreach_m = 9.5\nseparation_cm = 3")
     out = tmp_path / "out"
     result = run_here("design", tmp_path / "goal.toml", "--out", out, "--tubes", 1)
@@ -486,8 +489,8 @@ def test_tubes_that_cannot_be_computed_are_one_sentence(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_tube_is_pressed_and_sounded(monkeypatch):
-    """Force and echo rise with depth at 10 kHz, and no echo is larger than what is sent."""
+def test_press_and_reflection_of_a_tube_are_computed(monkeypatch):
+    """Force and echo rise with depth at 10 kHz, and no reflection exceeds one."""
     monkeypatch.setattr(making, "DEPTHS", 5)
     monkeypatch.setattr(making, "ROWS", 8)
     design = DesignGoal(variables=Variables(carrier_khz=10))
@@ -503,7 +506,7 @@ def test_tube_is_pressed_and_sounded(monkeypatch):
 
 @pytest.mark.long
 def test_reflection_between_the_depths_of_a_design_is_that_of_a_tube_with_losses():
-    """Near 7 mm of a bore of 10.5 mm sound is trapped, for longer without losses."""
+    """Near 7 mm in a bore of 10.5 mm there is trapped sound, which lasts longer without losses."""
     design = DesignGoal(variables=Variables(carrier_khz=17.5))
     plan = plan_of(design, TubeSpec(10.5, 1.5, 35.0), 25.0, (14e3, 21e3))
     (tube,) = making.pressed_tubes(TubeSpec(10.5, 1.5, 35.0), [25.0], [making.sounded(plan).result])
@@ -531,7 +534,7 @@ def pair_contacts(places=(0.5, 0.7), forces=(18.0, 50.0)):
 
 
 def test_bound_of_two_presses_is_that_of_the_inversions_jacobian():
-    """As of one press: three modes, echoes between presses and face, a tapered band."""
+    """As for one press: three modes, echoes between presses and face, a tapered band."""
     library = Library((tool(),))
     base = Baseband(Rangefinder(), RADIUS, 2.5, 20.0, library.modes)
     model, priors = ForwardModel(library, base), Priors()
@@ -550,16 +553,16 @@ def test_bound_of_two_presses_is_that_of_the_inversions_jacobian():
 
 
 def test_presses_apart_are_detected_and_a_faint_one_beside_a_strong_one_less_exactly():
-    """A second press far behind a faint one costs nothing but what the first one takes of it.
+    """A press behind a faint one loses only what the first one's transmission takes from it.
 
-    That of 18 N behind one of 50 N, at 1.2 m, is hardly heard.
+    The press of 18 N behind one of 50 N, at 1.2 m, is hardly detectable.
     """
     electronics, tube = electronics_of(Rangefinder()), passing()
     far = predict_pairs([tube], pair_contacts(), electronics, 0.5)
     near = predict_pairs([tube], pair_contacts(), electronics, 0.001)
     assert far.detection[0] > 0.999
     assert far.detection[1] < 0.5
-    # Of the fainter one, before the stronger one at the same place.
+    # Depth of the fainter one, at the same position before the stronger one.
     assert near.depth[0, 0] > 2 * far.depth[0, 0]
     clear = passing()
     clear = dataclasses.replace(clear, transmission=np.ones_like(clear.transmission))
@@ -581,7 +584,7 @@ def test_pairs_need_the_transmission_of_the_tube():
 
 @pytest.mark.parametrize("sensor", ["loudspeaker", "resonant"])
 def test_chirp_has_the_power_of_the_rangefinders_own(sensor):
-    """Within 2 % in the sum over frequency; the part at negative frequencies interferes."""
+    """The sum over frequency agrees within 2 %; the part at negative frequencies interferes."""
     design = DesignGoal(variables=Variables(bandwidth_khz=[8], carrier_khz=[5, 40]))
     choice = Choice(sensor, 4.0 if sensor == "resonant" else 0.0, 8e3, 200e3, 12, 1)
     r = rangefinder_of(design, 14e3, 20.0, choice)

@@ -68,7 +68,7 @@ def rule_of(points, reference=HEX20):
 
 
 def single(rule):
-    """Return the first element's part of a quadrature."""
+    """Return the first element's rows of a quadrature."""
     return element.Quadrature(*(part[0] for part in rule[:-1]), rule.modes)
 
 
@@ -86,7 +86,7 @@ def energies(points, elements, displacement):
 
 
 def one_element(name, seed=0, size=0.02):
-    """Return a distorted element's rule and random displacements that leave it regular."""
+    """Return a distorted element's rule and random displacements that do not invert it."""
     reference = ELEMENTS[name]
     rng = np.random.default_rng(seed)
     points = EDGE * (reference.nodes + rng.uniform(-0.05, 0.05, reference.nodes.shape))
@@ -98,7 +98,7 @@ def one_element(name, seed=0, size=0.02):
 
 
 def test_volume_of_a_patch_does_not_depend_on_the_nodes_inside():
-    """Moving inner nodes shifts volume between elements; the sum is the outer shape's."""
+    """Moving inner nodes shifts volume between elements; the sum is constant."""
     points, elements, _ = patch()
     straight = swept_patch().points
     volumes = [
@@ -111,10 +111,10 @@ def test_volume_of_a_patch_does_not_depend_on_the_nodes_inside():
 
 
 def test_affine_displacement_is_reproduced_and_leaves_inner_nodes_free():
-    """Patch test: F constant; the forces inside vanish to 1e-12 of those outside.
+    """Patch test: F is constant, and forces at inner nodes vanish to 1e-12 of those at outer nodes.
 
-    The rule integrates the gradients' cofactors exactly (they are of degree five in each
-    direction), so only round-off remains.
+    The rule integrates the cofactors of the gradients exactly (they are of degree five in each
+    direction), so that only round-off remains.
     """
     points, elements, inside = patch()
     assert inside.sum() == 7  # one corner and six edges' middles
@@ -129,7 +129,7 @@ def test_affine_displacement_is_reproduced_and_leaves_inner_nodes_free():
 
 
 def test_affine_displacement_of_straight_tetrahedra_leaves_inner_nodes_free():
-    """The same for a cube of six tetrahedra around its diagonal, in whose middle a node is free."""
+    """The patch test for a cube of six tetrahedra around its diagonal, with one inner node."""
     corners = np.array(np.meshgrid(*[[0.0, EDGE]] * 3, indexing="ij")).reshape(3, -1).T
     tets = np.array([[0, a, b, 7] for a, b in [(4, 6), (6, 2), (2, 3), (3, 1), (1, 5), (5, 4)]])
     pairs = TET10.nodes[4:] @ np.eye(3)  # local middles; the first four nodes are the corners
@@ -155,7 +155,7 @@ def rotation(angle=1.1):
 
 
 def test_rigid_rotation_leaves_no_energy_and_no_force():
-    """Round-off: energy under 1e-13 of K V, forces under 1e-12 of K times a cross-section."""
+    """To round-off: energy below 1e-13 of K V, forces below 1e-12 of K times a cross-section."""
     points, elements, _ = patch()
     displacement = points @ (rotation() - np.eye(3)).T + [1e-3, 2e-3, -3e-3]
     volume = np.asarray(element.quadrature(points[elements], HEX20).weights).sum()
@@ -182,7 +182,7 @@ def test_energy_does_not_see_a_rotation_and_forces_turn_with_it():
 @pytest.mark.parametrize("solid", MATERIALS)
 @pytest.mark.parametrize("name", ELEMENTS)
 def test_forces_are_the_slope_of_the_energy(name, solid):
-    """Central difference along a random direction, 1e-8 m: truncation and round-off near 1e-8."""
+    """Central difference over 1e-8 m: truncation and round-off are near 1e-8."""
     rule, displacement = one_element(name)
     material = MATERIALS[solid]
     direction = np.random.default_rng(5).normal(size=displacement.shape)
@@ -209,7 +209,7 @@ def test_forces_are_the_slope_of_the_energy(name, solid):
     ],
 )
 def test_tangent_is_the_second_derivative_of_the_energy(name, solid):
-    """The condensed formula against JAX's Hessian of the energy, to round-off; symmetric."""
+    """The condensed formula is JAX's Hessian of the energy, to round-off; symmetric."""
     rule, displacement = one_element(name)
     case = displacement, single(rule), MATERIALS[solid]
     n = displacement.size
@@ -221,7 +221,7 @@ def test_tangent_is_the_second_derivative_of_the_energy(name, solid):
 
 
 def test_tangents_of_many_elements_are_those_of_each():
-    """Their own places in the compiled loop; to round-off."""
+    """The compiled loop over elements, against single elements, to round-off."""
     mesh = sweep(Tube(), 8e-3, MeshSize(through_wall=2, around=5, along=4))
     rule = element.quadrature(mesh.points[mesh.elements], HEX20)
     displacement = np.random.default_rng(2).uniform(-1e-5, 1e-5, (40, 20, 3))
@@ -236,7 +236,7 @@ def test_tangents_of_many_elements_are_those_of_each():
 @pytest.mark.parametrize("solid", MATERIALS)
 @pytest.mark.parametrize("name", ELEMENTS)
 def test_convex_tangent_is_the_true_one_without_the_pressures_geometric_stiffness(name, solid):
-    """Less by the Hessian of p J at constant p, which JAX gives; to round-off."""
+    """The difference is the Hessian of p J at constant p, as given by JAX, to round-off."""
     rule, displacement = one_element(name)
     material, own, n = MATERIALS[solid], single(rule), displacement.size
 
@@ -278,7 +278,7 @@ def test_homogeneous_stretch_stores_the_closed_form_energy():
 
 
 def test_volume_ratios_are_the_determinants_at_the_points():
-    """Of an affine motion, det F everywhere, and negative for an inverted element."""
+    """For an affine motion they are det F everywhere, and negative for an inverted element."""
     points, elements, _ = patch()
     rule = element.quadrature(points[elements], HEX20)
     for f in (STRETCH, STRETCH @ np.diag([1, 1, -1])):
@@ -291,13 +291,16 @@ def test_volume_ratios_are_the_determinants_at_the_points():
     ("strain", "component", "modulus"),
     [
         ([[1, 0, 0], [0, 0, 0], [0, 0, 0]], (0, 0), K + 4 / 3 * MU),  # uniaxial strain
-        ([[1, 0, 0], [0, 0, 0], [0, 0, 0]], (1, 1), K - 2 / 3 * MU),  # and what holds it sideways
+        ([[1, 0, 0], [0, 0, 0], [0, 0, 0]], (1, 1), K - 2 / 3 * MU),  # its lateral stress
         ([[0, 1, 0], [0, 0, 0], [0, 0, 0]], (0, 1), MU),  # simple shear
         ([[1, 0, 0], [0, 1, 0], [0, 0, 1]], (2, 2), 3 * K),  # expansion
     ],
 )
 def test_small_strains_obey_hooke(strain, component, modulus):
-    """Stress read from the nodal forces on a cube's face; the next order in a strain of 1e-7."""
+    """The stress on a cube's face is Hooke's, up to the next order in a strain of 1e-7.
+
+    It is the sum of nodal forces per area.
+    """
     points, size = cube(), 1e-7
     displacement = points @ (size * np.array(strain, float)).T
     force = ENERGIES_AND_FORCES(displacement[None], rule_of(points), MATERIAL)[1][0]
@@ -309,7 +312,7 @@ def test_small_strains_obey_hooke(strain, component, modulus):
 
 @pytest.mark.parametrize("name", ELEMENTS)
 def test_projection_keeps_the_fields_that_pressure_may_be(name):
-    """On a distorted element every combination of its modes is left as it is, to round-off."""
+    """On a distorted element every combination of the pressure modes is unchanged, to round-off."""
     rule, _ = one_element(name)
     modes = rule.modes
     field = modes @ np.linspace(1.0, -0.2, modes.shape[1])
@@ -317,9 +320,9 @@ def test_projection_keeps_the_fields_that_pressure_may_be(name):
 
 
 def test_projection_of_the_hexahedron_is_trilinear_and_averages_squares():
-    """Its modes are the 8 products of xi, eta and zeta to the first power; xi^2 becomes 1/3.
+    """Modes are the 8 products of xi, eta, zeta to the power 0 or 1; xi^2 becomes 1/3.
 
-    1/3 is its mean, by the orthogonality of Legendre's polynomials, on a cube.
+    1/3 is its mean on a cube, by the orthogonality of Legendre's polynomials.
     """
     exponents = HEX20.modes
     assert len(np.unique(exponents, axis=0)) == 8
@@ -333,7 +336,7 @@ def test_projection_of_the_hexahedron_is_trilinear_and_averages_squares():
 
 
 class Ring:
-    """A slice of a tube, 1 mm long, and what its nodes are called.
+    """A slice of a tube, 1 mm long, with its nodes by angle and layer.
 
     Parameters
     ----------
@@ -359,7 +362,7 @@ class Ring:
         return np.flatnonzero(near)
 
     def model(self, fixed=()):
-        """Return its model in plane strain, with components of nodes fixed besides."""
+        """Return its model in plane strain, with further components of nodes fixed."""
         held = np.zeros(self.mesh.points.shape, bool)
         held[:, 2] = True
         held[self.mesh.points[:, 0] == 0, 0] = True
@@ -401,8 +404,9 @@ RIVLIN += [(3.0, 0.16838)]
 def inflated(stretch, nu):
     """Return the pressure in Pa that moves a ring's inner wall out by a stretch, and Rivlin's.
 
-    The inner wall is moved and the pressure read as the work of its nodal forces per swept area.
-    Incompressible, axial stretch 1: P = mu [ln(la / lb) + (1 / lb^2 - 1 / la^2) / 2].
+    The inner wall is displaced, and the pressure is the work of its nodal forces per swept area.
+    Rivlin's pressure, for an incompressible wall at an axial stretch of 1, is P = mu [ln(la / lb) +
+    (1 / lb^2 - 1 / la^2) / 2].
     """
     tube = Tube(shear_modulus=0.507e6, poisson_ratio=nu)
     ring = Ring(tube, layers=4, around=4)
@@ -410,7 +414,7 @@ def inflated(stretch, nu):
     wall = np.flatnonzero(ring.layer == 0)
     model = ring.model([(wall, [0, 1])])
     displacement, reached = np.zeros_like(ring.mesh.points), ring.radius
-    # Isochoric steps that keep the last one's pressure: without it a large stretch is unstable.
+    # Isochoric steps that keep the pressure of the last one: else a large stretch is unstable.
     for step in np.linspace(1, stretch, 1 + int(np.ceil((stretch - 1) / 0.5)))[1:]:
         moved = np.sqrt(ring.radius**2 + (step**2 - 1) * inner**2)
         start = displacement + (moved - reached)[:, None] * ring.radial
@@ -427,9 +431,10 @@ def inflated(stretch, nu):
 
 @pytest.mark.parametrize(("stretch", "pressure_mpa"), RIVLIN)
 def test_inflated_tube_bears_rivlins_pressure(stretch, pressure_mpa):
-    """At nu = 0.4999 (K = 5000 mu) the wall's volume shrinks by P / K = 6e-5; 0.5 % is allowed.
+    """The pressure is Rivlin's within 0.5 %, at nu = 0.4999 (K = 5000 mu).
 
-    Measured 0.09 to 0.11 %, which four layers of quadratics leave.
+    The wall's volume shrinks by P / K = 6e-5. Measured 0.09 to 0.11 %, the error of four layers of
+    quadratic elements.
     """
     pressure, exact = inflated(stretch, 0.4999)
     assert pressure == pytest.approx(exact, rel=5e-3)
@@ -437,11 +442,10 @@ def test_inflated_tube_bears_rivlins_pressure(stretch, pressure_mpa):
 
 
 def test_incompressible_limit_is_approached_with_the_bulk_modulus():
-    """From K = 50 to 500 to 5000 mu what compression changes falls by ten, as 1 / K.
+    """From K = 50 to 500 to 5000 mu the effect of compressibility falls by ten each time, as 1 / K.
 
-    At a stretch of 1.5 the pressure is 1.35, 0.21 and 0.09 % under Rivlin's: less and less volume
-    to push, and what the mesh leaves of 0.08 %. The ratio of the differences is 10.07 to first
-    order in mu / K; measured 9.7.
+    At a stretch of 1.5 the pressure is 1.35, 0.21 and 0.09 % below Rivlin's, of which the mesh
+    causes 0.08 %. The ratio of the differences is 10.07 to first order in mu / K; measured 9.7.
     """
     moduli = (0.49, 0.499, 0.4999)
     errors = np.array(
@@ -455,10 +459,10 @@ def test_pinched_thin_ring_deflects_like_a_curved_beam():
     """0.14878 W R^3 / (E' I) under the load, 0.13662 across, and the next order in t / R.
 
     A ring with R / t = 25 is pinched at two opposite points of its middle line by W per length.
-    Castigliano with bending, normal and shear energy gives pi/4 k1 - 2/pi k2^2 and
-    k1/2 - k2 + 2/pi k2^2, with k1 = 1 - a + b, k2 = 1 - a, a = I / (A R^2) and
-    b = (6/5) a E' / G: 0.38 and 0.15 % over the thin ring. What is left is of order (t / R)^2 too,
-    with the profile of the shear, and the mesh's: 0.1 % is allowed.
+    Castigliano's theorem with bending, normal and shear energy gives pi/4 k1 - 2/pi k2^2 and k1/2 -
+    k2 + 2/pi k2^2, with k1 = 1 - a + b, k2 = 1 - a, a = I / (A R^2) and b = (6/5) a E' / G: 0.38
+    and 0.15 % more than the thin ring. The remaining error is of order (t / R)^2 too, by the
+    profile of the shear and the mesh: 0.1 % is allowed.
     """
     thickness, radius, nu = 1e-3, 25e-3, 0.49
     tube = Tube(inner_diameter=2 * radius - thickness, wall_thickness=thickness, poisson_ratio=nu)
@@ -486,7 +490,7 @@ def test_pinched_thin_ring_deflects_like_a_curved_beam():
 
 @cache
 def ovalised(tube, layers, around):
-    """Return the bore's closing under an outer traction q cos(2 theta), over q / mu, in m."""
+    """Return the bore's closing in m under an outer traction q cos(2 theta), over q / mu."""
     ring = Ring(tube, layers, around)
     bottom, top = (ring.at(angle, 0.0) for angle in (0.0, np.pi))
 
@@ -495,13 +499,13 @@ def ovalised(tube, layers, around):
         return -np.cos(2 * angle)[..., None] * outward(points)
 
     load = ring.load(ring.mesh.outer_faces, traction)
-    # The bottom is held against moving as a whole, which the load does not do.
+    # The bottom is fixed against rigid motion, which the load does not cause.
     displacement = linear_response(ring.model([(bottom, [1])]), load)
     return tube.shear_modulus * (displacement[bottom[0], 1] - displacement[top[0], 1])
 
 
 def michell(tube):
-    """Return the same from Michell's plane-strain solution for a thick ring.
+    """Return the same closing by Michell's plane-strain solution for a thick ring.
 
     Airy function (A r^2 + B r^4 + C + D / r^2) cos(2 theta), whose stresses and displacements are
     those of Barber, Elasticity, tables 8.1 and 9.1, kappa = 3 - 4 nu.
@@ -520,21 +524,21 @@ def michell(tube):
 
 @pytest.mark.parametrize(("layers", "around", "share"), [(2, 12, 1.0), (4, 24, 0.1)])
 @pytest.mark.parametrize(("nu", "error"), [(0.3, 5e-3), (0.49, 5e-3), (0.4999, 7e-3)])
-def test_thick_ring_is_ovalised_as_michell_says_and_does_not_lock(nu, error, layers, around, share):
-    """The paper's section, from K = 2.2 mu to 5000 mu, on a mesh of 2 layers and one twice as fine.
+def test_thick_ring_is_ovalised_as_by_michell_without_locking(nu, error, layers, around, share):
+    """The closing is that of Michell's solution, from K = 2.2 mu to 5000 mu, with 2 and 4 layers.
 
-    Interpolation is nearly all the error there is: it falls by 15 from one mesh to the next
-    (measured: 0.41, then 0.030 % for nu = 0.3; 0.45 and 0.031 % for 0.49). Eight pressures to
-    twenty nodes leave a trace of locking where K / mu is a hundred times larger than silicone's:
-    0.63 and 0.066 % at nu = 0.4999, still of more than third order; locked elements would be wrong
-    by 100 % there.
+    The paper's section. Nearly all of the error is that of interpolation: it falls by 15 from one
+    mesh to the next (measured: 0.41, then 0.030 % for nu = 0.3; 0.45 and 0.031 % for 0.49). Eight
+    pressures per twenty nodes leave a trace of locking where K / mu is a hundred times larger than
+    silicone's: 0.63 and 0.066 % at nu = 0.4999, still of more than third order. Elements that lock
+    would be wrong by 100 % there.
     """
     tube = Tube(poisson_ratio=nu)
     assert ovalised(tube, layers, around) == pytest.approx(michell(tube), rel=error * share)
 
 
 def test_stiffness_hardly_changes_with_incompressibility_and_layers():
-    """Beyond the exact change, nu = 0.499 adds under 0.15 % to 0.49; layers add under 0.6 %.
+    """Besides the exact change, nu = 0.499 adds under 0.15 % to 0.49; layers add under 0.6 %.
 
     Measured: 0.13 and 0.54 %, with the trace of locking of the test above.
     """
@@ -545,9 +549,10 @@ def test_stiffness_hardly_changes_with_incompressibility_and_layers():
 
 
 def test_newton_leaves_an_indefinite_tangent_and_gives_up_in_inverted_elements():
-    """A ring shrunk by 40 % is in pressure beyond any stable shape, and goes back to rest.
+    """A ring shrunk by 40 % is compressed beyond stability; Newton's method returns it to rest.
 
-    Inverted, its energy is NaN, and it is not left by a step from a meaningless tangent.
+    A start with inverted elements has the energy NaN, and ends without a step, as its tangent is
+    meaningless.
     """
     ring = Ring(Tube(), layers=1, around=4)
     bottom = ring.at(0.0, 0.0)
@@ -572,7 +577,7 @@ def test_newton_leaves_an_indefinite_tangent_and_gives_up_in_inverted_elements()
 def compressed_column(length, stretch):
     """Return the model of a column between frictionless plates, and its straight displacements.
 
-    One wide and thick, with a plane of symmetry y = 0, compressed by 1.5 %.
+    It is one unit wide and thick, has the plane of symmetry y = 0, and is compressed by 1.5 %.
     """
     mesh = block([0.0, 1.0], [0.0, 1.0], np.linspace(0, length, length + 1))
     x, y, z = mesh.points.T
@@ -582,12 +587,12 @@ def compressed_column(length, stretch):
 
 
 def test_unstable_equilibrium_is_left_for_the_stable_one():
-    """A column ten widths long sways at a compression of (pi / 10)^2 / 12 = 0.8 % (Euler).
+    """A column ten widths long buckles at a compression of (pi / 10)^2 / 12 = 0.8 % (Euler).
 
-    At 1.5 % the straight state, whose widening a short column gives, is a saddle of the energy.
-    From it, although symmetric, and from a start that is bent by half the width to the same side
-    the column comes to the same state of less energy. To the other side the energy is another, by
-    1.5e-4: one edge is held across the column, at x = 0.
+    At 1.5 % the straight state, whose lateral expansion is taken from a short column, is a saddle
+    of the energy. From it, although it is symmetric, and from a start that is bent by half the
+    width to the same side the column reaches the same state of lower energy. To the other side the
+    energy differs by 1.5e-4: one edge is held across the column, at x = 0.
     """
     short, start = compressed_column(1, 0.0)
     found = minimise(short, start, (), 1e-12)
@@ -610,11 +615,12 @@ def test_unstable_equilibrium_is_left_for_the_stable_one():
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-9])
 def test_slender_column_sways_although_its_bending_is_soft_beside_its_diagonal(tolerance):
-    """Twenty widths long it buckles at 0.2 %; the tolerances are a guide's and a press's.
+    """A column twenty widths long buckles at 0.2 %; tolerances of a guide and of a press.
 
-    To its bending, 1e-5 of the diagonal of a nearly incompressible solid, a thousandth of the
-    diagonal is rigid: with no smaller shift Newton's method did not leave the straight state. The
-    tolerances differ by 3e-5 N in the residual, and so by far less than 1e-5 in the energy.
+    The stiffness in bending is 1e-5 of the diagonal of a nearly incompressible solid, so that a
+    shift of a thousandth of the diagonal is rigid: with no smaller shift Newton's method did not
+    leave the straight state. The tolerances differ by 3e-5 N in the residual, and so by far less
+    than 1e-5 in the energy.
     """
     short, start = compressed_column(1, 0.0)
     model, start = compressed_column(20, minimise(short, start, (), 1e-12).displacement[:, 1].max())
@@ -626,7 +632,7 @@ def test_slender_column_sways_although_its_bending_is_soft_beside_its_diagonal(t
 
 
 def test_saddle_without_any_residual_is_left_too(monkeypatch):
-    """The straight column with a gradient of exactly zero, which has no direction to begin with."""
+    """The gradient of the straight column is exactly zero and gives no direction."""
 
     def exact(*given):
         state = evaluate(*given)
@@ -646,7 +652,7 @@ def test_saddle_without_any_residual_is_left_too(monkeypatch):
 
 
 def lame(tube, radius):
-    """Return the radial displacement of a thick tube over p / mu, in m, in plane strain.
+    """Return the radial displacement of a thick tube in plane strain, over p / mu, in m.
 
     u = (A (1 - 2 nu) r + B / r) / 2 with A = a^2 / (b^2 - a^2), B = A b^2, for a pressure p inside
     and 2 mu = E / (1 + nu) [Timoshenko and Goodier, Theory of Elasticity, section 28].
@@ -657,9 +663,10 @@ def lame(tube, radius):
 
 
 def pressurised(tube, layers):
-    """Return the error of the displacement (L2, relative) and of the energy under inner pressure.
+    """Return the relative errors of displacement (L2) and energy under inner pressure.
 
-    A thick tube, whose inner pressure is small; the elements are as many times finer around.
+    The tube is thick and the pressure small; elements are refined around as they are through the
+    wall.
     """
     ring = Ring(tube, layers, around=2 * layers)
     side = np.flatnonzero(np.isclose(ring.angle, np.pi / 2, atol=1e-9))
@@ -682,14 +689,14 @@ def pressurised(tube, layers):
 
 
 def driven(tube, layers):
-    """Return the relative error of the force when the inner wall is moved out as Lame says."""
+    """Return the relative error of the force for an inner wall moved out as by Lame."""
     ring = Ring(tube, layers, around=2 * layers)
     wall = np.flatnonzero(ring.layer == 0)
     model = ring.model([(wall, [0, 1])])
     inner, pressure = tube.inner_diameter / 2, 1e-5  # in shear moduli
 
     def response(displacement):
-        """Return the nodal forces that are odd in a displacement, which is all of the linear."""
+        """Return the part of the nodal forces that is odd in the displacement."""
         ahead, behind = (
             nodal_forces(ring.mesh, ring.material, side * displacement) for side in (1, -1)
         )
@@ -705,12 +712,12 @@ def driven(tube, layers):
 
 @pytest.mark.parametrize("nu", [0.3, 0.49, 0.4999])
 def test_pressurised_tube_converges_to_lame_with_the_elements_order(nu):
-    """Order three of the displacement in L2 and four of the energy, whatever the Poisson's ratio.
+    """Order three of the displacement in L2, four of the energy, for any Poisson's ratio.
 
     A tube with b / a = 2, meshes of 1, 2 and 4 layers. The coarsest pair may be above the order;
-    measured 3.5 and 3.2 for the displacement, 3.74 and 3.89 for the energy. The errors themselves,
-    in units of the displacement, change by a fifth from nu = 0.3 to 0.4999: 1.9e-4 to 2.3e-4 on the
-    finest mesh, where locking would multiply them.
+    measured 3.5 and 3.2 for the displacement, 3.74 and 3.89 for the energy. The errors in units of
+    the displacement change by a fifth from nu = 0.3 to 0.4999: 1.9e-4 to 2.3e-4 on the finest mesh,
+    where locking would multiply them.
     """
     tube = Tube(inner_diameter=8e-3, wall_thickness=4e-3, poisson_ratio=nu)
     errors = np.abs([pressurised(tube, layers) for layers in (1, 2, 4)])
@@ -722,10 +729,10 @@ def test_pressurised_tube_converges_to_lame_with_the_elements_order(nu):
 
 @pytest.mark.parametrize("nu", [0.3, 0.49, 0.4999])
 def test_force_of_a_driven_tube_converges_with_order_four(nu):
-    """The same tube and meshes with its inner wall driven: the force that this takes.
+    """The force needed to displace the inner wall, for the same tube and meshes.
 
-    Twice the displacement's order less two, as that of an energy. Measured 4.13 to 4.20, and errors
-    from 0.75 % to 2.3e-5, whatever the Poisson's ratio.
+    Its order is twice the displacement's less two, as that of an energy. Measured 4.13 to 4.20, and
+    errors from 0.75 % to 2.3e-5, for any Poisson's ratio.
     """
     tube = Tube(inner_diameter=8e-3, wall_thickness=4e-3, poisson_ratio=nu)
     errors = np.abs([driven(tube, layers) for layers in (1, 2, 4)])

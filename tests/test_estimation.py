@@ -1,4 +1,4 @@
-"""Splits, errors, intervals, features and model files, against hand calculations and physics."""
+"""Splits, errors, intervals, features and model files, against hand calculations."""
 
 import json
 import pickle
@@ -138,7 +138,7 @@ def test_bins_hold_values_at_their_lower_edge_to_rounding():
 
 
 def test_conformal_quantile_is_the_rank_of_the_textbook():
-    """99 scores 1 to 99 of scale 2: the level p is the (100 p)-th of the scores, over 2."""
+    """For scores 1 to 99 of scale 2, the factor at level p is the (100 p)-th score, over 2."""
     quantiles = uncertainty.conformal_quantiles(np.arange(1.0, 100)[::-1], np.full(99, 2.0))
     assert uncertainty.factor(quantiles, 0.9) == pytest.approx(45.0)
     assert uncertainty.factor(quantiles, 0.5) == pytest.approx(25.0)
@@ -150,7 +150,7 @@ def test_conformal_quantile_is_the_rank_of_the_textbook():
 
 
 def test_residual_scale_follows_noise_that_grows():
-    """Noise of 0.1 + estimate: bins of 1000 rows know their deviation to 5 %."""
+    """The noise is 0.1 + estimate; the deviation in bins of 1000 rows is known to 5 %."""
     rng = np.random.default_rng(0)
     estimate = rng.uniform(0, 2, 20_000)
     at, scale = uncertainty.residual_scale(estimate, rng.normal(size=20_000) * (0.1 + estimate))
@@ -159,7 +159,7 @@ def test_residual_scale_follows_noise_that_grows():
 
 
 def uneven(count, seed):
-    """Return rows whose first target has a noise that the second input tells."""
+    """Return rows whose noise in the first target depends on the second input."""
     rng = np.random.default_rng(seed)
     x = rng.uniform(0, 1, (count, 4))
     noise = rng.normal(size=(count, 2)) * np.stack([0.1 + 0.4 * x[:, 1], np.full(count, 0.2)], -1)
@@ -175,10 +175,11 @@ def uneven(count, seed):
         Boosting(max_iter=40, offset_columns=(3, None)),
     ],
 )
-def test_estimators_with_several_targets_state_intervals_that_hold(estimator):
-    """2000 fresh rows: binomial deviations of 1 and 0.7 %, and as much from 3000 held-out rows.
+def test_intervals_of_estimators_with_several_targets_have_the_stated_coverage(estimator):
+    """Coverage of 2000 new rows is within 5 and 3.5 points of the stated one.
 
-    The mean of the folds is a little closer than the single ones that the intervals are made for.
+    The binomial deviations are 1 and 0.7 %, and as much by the 3000 held-out rows. The mean of the
+    folds is a little more accurate than the single ones for which the intervals are computed.
     """
     estimator = clone(estimator).fit(*uneven(3000, 1))
     x, truth = uneven(2000, 2)
@@ -191,7 +192,7 @@ def test_estimators_with_several_targets_state_intervals_that_hold(estimator):
         assert found.covered_wide == pytest.approx(0.9, abs=0.035)
     ratio = np.median(deviation[x[:, 1] > 0.8, 0]) / np.median(deviation[x[:, 1] < 0.2, 0])
     assert ratio > 2  # of noises of 0.46 and 0.14
-    # Noise of a median size of 0.18 and 0.13, and what cannot be learned of it.
+    # Noise of a median size of 0.18 and 0.13, plus the error of the estimators.
     assert np.all(np.median(np.abs(estimate - truth), axis=0) < [0.22, 0.16])
 
 
@@ -220,10 +221,10 @@ def test_exported_trees_predict_as_scikit_learn_does():
 
 
 def test_level_of_a_closure_is_the_same_wherever_and_however_warm_it_is():
-    """Freed of the way, to 0.5 dB over 0.9 m and 12 K, where the echo itself falls by 13 dB.
+    """The level, corrected for the path, is constant to 0.5 dB over 0.9 m and 12 K.
 
-    The correction at the carrier stands for the pulse's whole band, and for the air that the
-    board reports, 0.5 K too warm.
+    The echo itself falls by 13 dB. The correction at the carrier is used for the pulse's whole
+    band, and for the temperature that the board reports, 0.5 K too high.
     """
     found = []
     for place, warmth in ((0.3, 18.0), (0.3, 30.0), (0.75, 18.0), (1.2, 18.0), (1.2, 30.0)):
@@ -271,8 +272,8 @@ def test_a_cycle_without_an_echo_has_no_features_and_no_estimate(models):
 # Models
 
 
-def test_echo_estimators_tell_distance_and_depth_of_new_presses(tables):
-    """Presses of another seed: to a third of the spread of their depths, and two centimetres."""
+def test_echo_estimators_find_distance_and_depth_of_new_presses(tables):
+    """Presses of another seed: errors below a third of the spread of depths, and below 2 cm."""
     model = estimation.train(tables["echo"], "echo", ECHO, n_folds=5, epochs=60)
     fresh = cycles(25, seed=9)
     found = estimation.estimate(model, estimation.feature_table(fresh, ECHO))
@@ -283,7 +284,7 @@ def test_echo_estimators_tell_distance_and_depth_of_new_presses(tables):
 
 
 @pytest.mark.parametrize("name", ["network", "echo", "boosting"])
-def test_a_saved_model_tells_the_same(name, models, tables):
+def test_a_saved_model_gives_the_same_estimates(name, models, tables):
     model = models[name]
     estimation.save(model, "a.model")
     loaded = estimation.load("a.model")
@@ -313,7 +314,7 @@ def header_with(**words):
     return change
 
 
-def test_a_model_of_another_format_is_told_by_its_versions(models):
+def test_a_model_of_another_format_is_refused_with_its_versions(models):
     estimation.save(models["network"], "a.model")
     name = rewritten(header_with(format=99, acoustube_version="7.1"))
     with pytest.raises(ConfigError, match=r"by acoustube 7\.1 in format 99.*reads format 1; train"):

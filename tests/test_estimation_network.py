@@ -13,7 +13,7 @@ from acoustube.estimation import ForceNetwork, errors, folds, network
 
 RNG = np.random.default_rng(0)
 ROWS = 103
-"""Of most tests, in four folds, which are not equal: other numbers are compiled anew."""
+"""Rows of most tests, in four unequal folds; other numbers of rows need another compilation."""
 
 
 def forces(count, seed=0, noise=0.2):
@@ -24,7 +24,7 @@ def forces(count, seed=0, noise=0.2):
 
 
 def test_initial_weights_have_hes_variance_and_shapes():
-    """2 / fan_in to 2 %: the variance of 50 x 4096 normal numbers is sure to 0.3 %."""
+    """The variance is 2 / fan_in to 2 % with 50 x 4096 numbers, known to 0.3 %; to 5 % with fewer."""
     keys = jax.random.split(jax.random.key(1), 50)
     layers = jax.vmap(lambda key: network.initial(key, (2, 64, 64, 1)))(keys)
     assert [w.shape[1:] for w, _ in layers] == [(2, 64), (64, 64), (64, 1)]
@@ -37,7 +37,7 @@ def test_initial_weights_have_hes_variance_and_shapes():
 
 
 def test_outputs_are_leaky_layers_by_hand():
-    """Single precision against double: 1e-6 of a sum of 64 terms."""
+    """Outputs in single precision are compared with double: errors of 1e-6 in 64 terms, twice."""
     layers = [(RNG.normal(size=s), RNG.normal(size=s[1])) for s in ((2, 64), (64, 64), (64, 1))]
     x = RNG.normal(size=(9, 2))
     hidden = x
@@ -51,7 +51,7 @@ def test_outputs_are_leaky_layers_by_hand():
 
 
 def adam_by_hand(x, y, weights, bias, steps, rate=1e-2, decay=1e-2):
-    """Return a linear model after steps of Adam on all rows, the decay in the gradient."""
+    """Return a linear model after steps of Adam on all rows, with the decay in the gradient."""
     p = np.append(weights, bias)
     m = v = np.zeros_like(p)
     for t in range(1, steps + 1):
@@ -63,10 +63,10 @@ def adam_by_hand(x, y, weights, bias, steps, rate=1e-2, decay=1e-2):
 
 
 def test_training_takes_adams_steps_by_hand_on_each_folds_own_standards():
-    """A linear network and one batch of all 50 training rows: seven steps in double precision.
+    """A linear network, one batch of 50 training rows: Adam's method in double precision.
 
-    Single precision leaves 1e-5 of a weight. The bias is left out: of standardised rows its
-    gradient is zero, and Adam divides the rounding of it by its own size.
+    Seven steps; single precision leaves 1e-5 of a weight. The bias is left out: for standardised
+    rows its gradient is zero, and Adam divides its rounding error by its own size.
     """
     x, y = forces(100)
     x[:50] += 3.0  # so that the folds' standards differ
@@ -87,7 +87,7 @@ def test_training_takes_adams_steps_by_hand_on_each_folds_own_standards():
 
 
 def test_decay_is_in_the_gradient_and_not_beside_adams_step():
-    """Without a gradient of its own a large parameter moves by the rate, not rate * decay * p."""
+    """A large parameter with zero gradient moves by the rate, not by rate * decay * p."""
     step = network.optimiser(1e-3, 1e-5)
     parameter = jnp.array([100.0])
     change, _ = step.update(jnp.zeros(1), step.init(parameter), parameter)
@@ -109,13 +109,13 @@ def test_an_epoch_holds_every_training_row_once_and_no_held_out_one():
         assert sorted(rows[: own.size]) == list(own)
 
 
-def test_held_out_rows_teach_their_network_nothing():
+def test_held_out_rows_do_not_affect_their_network():
     x, y = forces(ROWS)
     fold = folds(np.arange(ROWS), 4)
     changed_x, changed_y = x.copy(), y.copy()
     changed_x[fold == 1] *= 5
     changed_y[fold == 1] -= 40
-    # The mean of all rows is only a shift before rounding: 1e-5 of what single precision leaves.
+    # The mean of all rows is a shift before rounding: it changes single-precision results by 1e-5.
     plain, changed = (
         network.train(a, b[:, None], fold, epochs=3) for a, b in ((x, y), (changed_x, changed_y))
     )
@@ -143,7 +143,7 @@ def test_folds_are_weighted_by_inverse_validation_loss():
 
 
 def test_any_number_of_folds_compiles_one_step(compilations):
-    """Eleven folds compile as often as seven, and another seed of either compiles nothing.
+    """Eleven folds compile as often as seven, and another seed compiles nothing.
 
     No other test has these numbers of rows and folds: JAX keeps what one compiled in the process.
     """
@@ -181,7 +181,7 @@ def test_prediction_is_the_weighted_mean_of_the_folds():
 
 
 def test_large_offsets_lose_nothing():
-    """A target of 1e5 +- 1 is learned as 0 +- 1 is, although single precision tells 0.008 apart."""
+    """1e5 +- 1 is learned as well as 0 +- 1, at a single-precision resolution of 0.008."""
     x, y = forces(400)
     near = ForceNetwork(epochs=5, n_folds=3).fit(x, y).predict(x)
     far = ForceNetwork(epochs=5, n_folds=3).fit(x + 1e4, y + 1e5).predict(x + 1e4)
@@ -228,11 +228,12 @@ def test_inputs_of_another_width_are_refused():
         ForceNetwork(epochs=1, n_folds=4).fit(x, y).predict(np.zeros((5, 3)))
 
 
-def test_stated_intervals_hold_the_truths_they_promise():
-    """Noise that grows with the estimate; 4000 fresh rows: binomial deviations of 0.7 and 0.5 %.
+def test_intervals_have_the_stated_coverage():
+    """Coverage of 4000 new rows, whose noise grows with the estimate, is the stated one.
 
-    The intervals come from 3000 held-out rows, which adds 0.9 and 0.6 %. The mean of the networks
-    is a little closer than the single ones that the intervals are made for.
+    The binomial deviations are 0.7 and 0.5 %; the intervals come from 3000 held-out rows, which
+    adds 0.9 and 0.6 %. The mean of the networks is a little more accurate than the single ones for
+    which the intervals are computed.
     """
     rng = np.random.default_rng(1)
 
@@ -247,7 +248,7 @@ def test_stated_intervals_hold_the_truths_they_promise():
     found = errors(truth, estimate, deviation, model.half_width(fresh, 0.9))
     assert found.covered == pytest.approx(0.683, abs=0.035)
     assert found.covered_wide == pytest.approx(0.9, abs=0.025)
-    # Wider where the noise is: by the ratio of the noises, 0.74 / 0.12, or at least by half of it.
+    # Wider where the noise is larger, ideally by 0.74 / 0.12; about half of that is required.
     product = fresh[:, 0] * fresh[:, 1]
     ratio = np.median(deviation[product > 1.2]) / np.median(deviation[product < 0.1])
     assert ratio > 2.5
@@ -256,9 +257,9 @@ def test_stated_intervals_hold_the_truths_they_promise():
 @pytest.mark.slow
 @pytest.mark.long
 def test_held_out_loss_is_that_of_scikit_learns_network():
-    """The same 64-64-1 network of ReLUs without a leak: losses within 5 % of each other.
+    """Losses of a 64-64-1 network of ReLUs without a leak are within 5 % of scikit-learn's.
 
-    Each scatters by 2 % between seeds; both end 3 % over the variance of the noise, which is 0.04.
+    Each varies by 2 % between seeds; both end 3 % above the variance of the noise, which is 0.04.
     """
     x, y = forces(6000)
     fold = folds(np.arange(6000), 10, seed=1)

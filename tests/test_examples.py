@@ -1,4 +1,4 @@
-"""Every example runs, ends in a picture, and what it says is true."""
+"""Every example runs and draws its figures, and its statements are true."""
 
 import runpy
 from math import pi
@@ -14,7 +14,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 @pytest.fixture
 def run_example(tmp_path, monkeypatch):
-    """Run an example by its name, with nothing shown and no file left, and return its variables."""
+    """Run an example by its name and check its figures; return its variables."""
     scenes = []
     monkeypatch.setattr(plt, "show", lambda: None)
     monkeypatch.setattr(pyvista.Plotter, "show", lambda plotter: scenes.append(plotter))
@@ -33,10 +33,10 @@ def run_example(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_press_closes_the_lumen_by_its_depth_and_sounds_from_under_the_rod(run_example):
-    """The roof follows the rod down, to a tenth of a millimetre, and the bed stays.
+def test_press_closes_the_lumen_by_its_depth_and_reflects_under_the_rod(run_example):
+    """The roof follows the rod to a tenth of a millimetre, and the bed stays.
 
-    The rod's radius is 5 mm: what reflects first lies under it.
+    The rod's radius is 5 mm: the first reflection comes from under it.
     """
     variables = run_example("chain_how_does_a_press_sound", in_space=1)
     assert float(variables["run"]["lumen_height"][-1]) == pytest.approx(2.9e-3, abs=0.1e-3)
@@ -45,10 +45,11 @@ def test_press_closes_the_lumen_by_its_depth_and_sounds_from_under_the_rod(run_e
 
 @pytest.mark.long
 def test_d_bore_holds_what_its_wall_leaves_and_closes_sooner_than_a_round_one(run_example):
-    """The wall's volume, by the divergence theorem over the STL file, leaves the bore's area.
+    """The bore's area is the outer section less the wall's volume per length, over the STL file.
 
-    The tetrahedra's quadratic faces follow the file's facets to 0.5 %. The round tube's force is
-    that of a mesh with four times the elements, and of CalculiX, to the 3 % of a coarse mesh.
+    The quadratic faces of the tetrahedra follow the file's facets to 0.5 %. The round tube's force
+    is compared with that of a mesh with four times the elements, and of CalculiX, within the 3 % of
+    a coarse mesh.
     """
     variables = run_example("indentation_how_does_a_d_bore_close", in_space=1)
     wall, areas = variables["surface"], variables["areas"]
@@ -62,10 +63,10 @@ def test_d_bore_holds_what_its_wall_leaves_and_closes_sooner_than_a_round_one(ru
 
 @pytest.mark.long
 def test_echo_rises_with_depth_below_the_first_cut_on_and_not_at_the_carrier(run_example):
-    """At 10 kHz the plane wave is alone, and Webster's equation tells what comes back.
+    """At 10 kHz only the plane wave propagates, and Webster's equation holds within 7 %.
 
-    It takes the field as even across the lumen, which an obstacle two bores long in a wave of four
-    is not quite: measured 4 % more than in three dimensions. Depths 1 mm apart differ by 40 %.
+    It assumes a uniform field over the lumen, which is not quite so for an obstacle two bores long
+    in a wave of four: measured 4 % more than in three dimensions. Depths 1 mm apart differ by 40 %.
     """
     variables = run_example("waves_why_does_amplitude_mislead")
     steps = {khz: np.diff(height) for khz, height in variables["heights"].items()}
@@ -79,7 +80,7 @@ def test_echo_rises_with_depth_below_the_first_cut_on_and_not_at_the_carrier(run
 
 
 def webster_reflection(frequency, depth):
-    """Return the plane wave's reflection by a 10 mm rod, from the lumen's area along the tube."""
+    """Return the plane wave's reflection at a 10 mm rod, from the lumen's area."""
     import acoustube
     from acoustube.lumen import measure
     from acoustube.runs.presses import pressed
@@ -91,7 +92,7 @@ def webster_reflection(frequency, depth):
     edges = np.linspace(-0.04, 0.04, 801)
     area = measure(press, row, (edges[1:] + edges[:-1]) / 2).area
     wavenumber, whole = 2 * pi * frequency / 343.2, area[0]
-    # From a matched end backwards, admittances over that of the round bore.
+    # From a matched end backwards: admittances relative to that of the round bore.
     admittance = 1.0 + 0j
     for step, share in zip(np.diff(edges)[::-1], area[::-1] / whole, strict=True):
         turn = 1j * np.tan(wavenumber * step)
@@ -100,11 +101,11 @@ def webster_reflection(frequency, depth):
 
 
 @pytest.mark.slow
-def test_recording_is_heard_where_the_clean_cycle_is_and_a_closure_would_be(run_example):
-    """Noise alone moves the echo by 0.2 mm, clutter 40 dB below it by a hundredth of its rise.
+def test_distance_of_a_recording_is_that_of_the_clean_cycle_and_of_a_closure(run_example):
+    """Noise shifts the echo by 0.2 mm, and clutter 40 dB below it by a hundredth of its rise.
 
-    A rigid closure at the same place has the same baseline: left is what separates the direct echo
-    from the press's middle, under 5 mm for a 10 mm rod.
+    A rigid closure at the same position has the same offset: the difference is the distance between
+    the direct echo and the press's middle, under 5 mm for a 10 mm rod.
     """
     from acoustube import ranging, signals
 
@@ -120,8 +121,8 @@ def test_recording_is_heard_where_the_clean_cycle_is_and_a_closure_would_be(run_
 
 
 @pytest.mark.long
-def test_two_presses_are_told_where_they_are_and_the_highest_echo_is_late(run_example):
-    """The deviations told are 0.1 to 0.2 mm of place and 0.02 mm of depth: within three of them."""
+def test_two_presses_are_located_and_the_highest_echo_is_late(run_example):
+    """Within three stated deviations, 0.1 to 0.2 mm in position and 0.02 mm in depth."""
     variables = run_example("inversion_where_are_two_presses")
     contacts = variables["found"].contacts
     assert [c.distance.value for c in contacts] == pytest.approx(variables["TRUE_PLACES"], abs=5e-4)
@@ -130,8 +131,8 @@ def test_two_presses_are_told_where_they_are_and_the_highest_echo_is_late(run_ex
 
 
 @pytest.mark.slow
-def test_cluster_hears_echoes_fall_as_the_plane_wave_does(run_example):
-    """Kirchhoff's attenuation of the plane wave, there and back: 3 % for the pulse's bandwidth."""
+def test_echoes_computed_on_a_cluster_fall_as_the_plane_wave_does(run_example):
+    """Kirchhoff's attenuation of the plane wave both ways; 3 % for the pulse's bandwidth."""
     from acoustube.air import air_at
     from acoustube.waves import attenuation
 
@@ -151,7 +152,10 @@ def test_cluster_hears_echoes_fall_as_the_plane_wave_does(run_example):
 @pytest.mark.slow
 @pytest.mark.long
 def test_estimates_of_new_presses_beat_a_constant_and_lie_in_their_intervals(run_example):
-    """A third of a constant's error at most; 90 % of 40 presses, less three deviations of 5 %."""
+    """Median errors are under a third of a constant estimate's.
+
+    The coverage is 90 % of 40 presses, less three deviations of 5 %.
+    """
     variables = run_example("estimation_can_echoes_tell_depth")
     learned, asked = (set(variables["press"][variables[side]]) for side in ("learned", "asked"))
     assert len(asked) == 40
@@ -161,9 +165,11 @@ def test_estimates_of_new_presses_beat_a_constant_and_lie_in_their_intervals(run
         assert errors.covered_wide > 0.75
 
 
-def test_sleeve_is_as_long_as_its_helix_and_tells_a_place_on_it(run_example):
-    """The arc length of a conical helix by quadrature, to 0.1 mm; the radius is the skin's, half
-    a tube above it."""
+def test_position_on_a_sleeve_is_that_of_its_helix(run_example):
+    """The position is compared with the arc length of a conical helix by quadrature, to 0.1 mm.
+
+    The radius is that of the skin plus half a tube.
+    """
     variables = run_example("sleeve_will_it_fit_my_arm")
     z = np.linspace(0, 0.25, 10001)
     radius = np.interp(z, [0, 0.25], [0.17, 0.26]) / (2 * pi) + 5.55e-3
@@ -193,7 +199,7 @@ def test_held_tube_is_stiffer_by_what_the_reference_says(run_example):
 
 @pytest.mark.slow
 def test_release_end_adds_the_negative_of_the_echo(run_example):
-    # Exact for the plane wave; what is left is the delay's interpolation and the higher modes,
+    # Exact for the plane wave; the rest is interpolation of the delay and the higher modes,
     # which reach the end off their plane-wave delay.
     variables = run_example("waves_why_does_the_echo_come_twice")
     assert variables["mismatch"] < 0.05
@@ -242,10 +248,11 @@ def test_batches_hold_every_cycle_once_with_its_label(run_example):
 
 @pytest.mark.long
 def test_robots_contact_is_found_in_the_cycles_of_its_sensor(run_example):
-    """A moving contact of known force: where the tracker finds it, and how strong.
+    """A moving contact of known force: errors of position and force by the tracker.
 
-    Sensor and tracker share a library: noise and rounding are left, and motion between cycles.
-    Measured 0.03 mm and 0.005 N; a quarter of the phase's 4 mm, and a tenth of the least force.
+    Sensor and tracker share a library, so that errors are by noise, rounding, and motion between
+    cycles. Measured 0.03 mm and 0.005 N. Allowed are a quarter of the phase's 4 mm, and a tenth of
+    the least force.
     """
     pytest.importorskip("mujoco")
     variables = run_example("sensor_what_does_a_robot_feel")

@@ -1,4 +1,4 @@
-"""`acoustube export`: what is written is read back by the programs it is for."""
+"""`acoustube export`: the written files are read back by libraries of the programs they are for."""
 
 import csv
 import dataclasses
@@ -36,13 +36,13 @@ SETTINGS = press_in_si(CONFIG)
 TUBE = SETTINGS.tube
 REACH = pressed_reach(TUBE.outer_diameter, SETTINGS.indenter.diameter)
 SHARES = (0.1, 0.3)
-"""By which the section's height is less in the middle, at two depths."""
+"""Relative decrease of the section's height in the middle, at two depths."""
 ROUND = 6e-4
-"""Of a volume: a polygon of 144 corners is smaller than its circle by a share of 3.2e-4."""
+"""Relative tolerance of a volume: a polygon of 144 corners has 3.2e-4 less area than its circle."""
 
 
 def squeezed(points, share):
-    """Displacement that lowers all but the bottom line; the area follows the height."""
+    """Displacement of all points but the bottom line; the area is as the height."""
     less = share * np.cos(0.5 * np.pi * points[:, 2] / REACH) ** 2
     height = points[:, 1] + TUBE.outer_diameter / 2
     return np.stack([0 * less, -less * height, 0 * less], axis=-1)
@@ -131,7 +131,7 @@ def cycles(tmp_path):
 @pytest.mark.usefixtures("press")
 @pytest.mark.parametrize("suffix", ["stl", "vtp"])
 def test_lumen_of_each_depth_has_the_volume_of_the_squeezed_tube(suffix):
-    """pi r^2 (L - s (2 reach) / 2): the squeeze cos^2 takes half of its share, on average."""
+    """pi r^2 (L - s (2 reach) / 2): the mean of cos^2 over the squeezed part is one half."""
     assert main(["export", "press", "--format", suffix, "--out", "out"]) == 0
     table = pd.read_csv("out/lumens.csv")
     assert list(table["depth_mm"]) == pytest.approx([1.0, 2.0])
@@ -154,7 +154,7 @@ def test_stl_of_a_press_is_in_millimetres():
 
 @pytest.mark.parametrize("halved", [(True, True), (True, False), (False, False)])
 def test_wall_as_it_lies_is_closed_and_has_its_volume(halved):
-    """A round tube, whole or by halves; its ends by fans."""
+    """The wall of a round tube, whole or in halves, with ends closed by fans of triangles."""
     mesh = sweep(TUBE, REACH, MESH_SIZES["coarse"], halved=halved)
     surface = closed_wall(mesh, mesh.points + squeezed(mesh.points, 0.2))
     assert surface.is_watertight
@@ -293,7 +293,7 @@ def test_sweep_without_walls_is_refused(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def test_sounds_are_the_counts(cycles):
+def test_sound_files_hold_the_counts(cycles):
     assert main(["export", "cycles", "--out", "out"]) == 0
     table = pd.read_parquet("out/labels.parquet")
     assert table["file"].nunique() == 4
@@ -355,7 +355,7 @@ def test_frames_hold_signal_and_label(cycles, tmp_path):
 
 
 @pytest.mark.usefixtures("cycles")
-def test_meta_tells_episodes_tasks_and_statistics(tmp_path):
+def test_metadata_list_episodes_tasks_and_statistics(tmp_path):
     assert main(["export", "cycles", "--format", "lerobot", "--out", "out"]) == 0
     meta = tmp_path / "out" / "meta"
     frames, _ = frames_of(tmp_path / "out")
@@ -405,7 +405,7 @@ def test_frames_are_spread_over_files_of_whole_episodes(tmp_path, monkeypatch):
     ],
     ids=lambda value: " ".join(value),
 )
-def test_what_cannot_be_written_is_said_and_nothing_is(words, parts, tmp_path, capsys):
+def test_unsupported_exports_are_refused_and_nothing_is_written(words, parts, tmp_path, capsys):
     (tmp_path / "text.nc").write_text("no file")
     write_dataset(xr.Dataset({"a": 1.0}), tmp_path / "other.nc")
     assert main(["export", *words, "--out", "out"]) == 2
@@ -417,7 +417,7 @@ def test_what_cannot_be_written_is_said_and_nothing_is(words, parts, tmp_path, c
 
 @pytest.mark.usefixtures("cycles")
 @pytest.mark.parametrize("kind", ["wav", "lerobot"])
-def test_missing_parquet_is_told_with_what_to_install(kind, tmp_path, capsys, monkeypatch):
+def test_missing_parquet_is_reported_with_what_to_install(kind, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     assert main(["export", "cycles", "--format", kind, "--out", "out"]) == 2
     line = capsys.readouterr().err
@@ -428,7 +428,7 @@ def test_missing_parquet_is_told_with_what_to_install(kind, tmp_path, capsys, mo
 
 @pytest.mark.slow
 def test_press_that_was_computed_is_written_as_it_was(tmp_path):
-    """The area at the press, by a cut through the STL file, is that of the table to 1e-3."""
+    """The area at the press from a cut through the STL file is that of the table, to 1e-3."""
     config = '[indentation]\nmesh = "coarse"\ndepth_mm = 0.4\nsteps = 2\nsupport = "free"\n'
     (tmp_path / "a.toml").write_text(config)
     assert main(["indent", "--config", "a.toml", "--out", "run", "--quiet"]) == 0

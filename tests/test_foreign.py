@@ -1,4 +1,4 @@
-"""Files of others that crash, stall or overflow what reads them: one sentence, and soon."""
+"""Files of others that crash, stall or exceed a reader: one sentence, within seconds."""
 
 import io
 import json
@@ -55,7 +55,7 @@ def test_crash_of_a_library_is_a_sentence_and_the_next_file_is_read(name, reader
 
 @pytest.mark.slow
 def test_reader_that_does_not_end_is_stopped():
-    """By its processor time, so that a busy machine stops no good file."""
+    """It is limited by its processor time, so that good files are read on a busy machine too."""
     pytest.importorskip("ezc3d", reason="needs ezc3d (acoustube[c3d])")
     started = time.process_time() + sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])
     with pytest.raises(ConfigError, match=r"markers \(it takes longer than any"):
@@ -74,7 +74,7 @@ def test_markers_of_another_content_are_refused(tmp_path, content):
 
 
 def test_dataset_that_claims_more_than_the_limit_is_not_read(tmp_path, monkeypatch):
-    """Of 600 MB, none of which is in the file."""
+    """It declares 600 MB, none of which are in the file."""
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("signal", (30_000, 20_000), "i1", chunks=(1000, 1000), fillvalue=3)
     monkeypatch.setitem(limits.SIZES, "recording", 1_000_000)
@@ -254,7 +254,7 @@ SHOWN = "a[/ [red]b[/red] :smile: \\x1b[31m\\udc80"
 
 
 def test_what_a_user_supplies_is_no_markup_in_the_terminal(capsys):
-    """Brackets, emoji codes, control characters, bytes that are not UTF-8, printed in every way."""
+    """Brackets, emoji codes, control characters and invalid UTF-8 are printed literally."""
     report = ConsoleReporter(plain_console())
     report.title(MARKUP)
     report.line(MARKUP)
@@ -350,7 +350,7 @@ CALIBRATION = Calibration(
     ],
 )  # fmt: skip
 def test_absurd_numbers_in_a_calibration_are_a_sentence(tmp_path, name, value):
-    """When it is read, or where it asks for more than a cycle holds when it is applied."""
+    """Refused when read, or when applied, if they need more than a cycle holds."""
     signals.save(CALIBRATION, tmp_path / "c.toml")
     text = (tmp_path / "c.toml").read_text()
     (tmp_path / "c.toml").write_text(re.sub(rf"(?m)^{name} = .*", f"{name} = {value}", text))
@@ -377,7 +377,7 @@ def result(path):
 def test_one_changed_bit_of_a_result_is_found_before_hdf5_opens_it(tmp_path_factory, share, bit):
     path = result(tmp_path_factory.mktemp("a") / "cycles-1.nc")
     content = bytearray(path.read_bytes())
-    # But for the mark at the end, without which a file is one of an earlier version.
+    # Except in the mark at the end, without which a file counts as one of an earlier version.
     content[int(share * (len(content) - len(MARK) - 32))] ^= 1 << bit
     path.write_bytes(content)
     with pytest.raises(ConfigError, match=r"cycles-1\.nc is damaged: its checksum is wrong"):
@@ -418,7 +418,7 @@ def test_foreign_and_odd_results_are_a_sentence(tmp_path, command, name, what):
 
 
 def cylinder(path, scale=1.0, offset=0.0):
-    """A lumen of 8 mm by 40 cm, scaled, and moved along x, in mm."""
+    """Write a lumen of 8 mm by 40 cm, scaled, and shifted along x, in mm."""
     surface = trimesh.creation.cylinder(4, 400, sections=16)
     surface.apply_scale(scale)
     surface.apply_translation([offset, 0, 0])
@@ -448,7 +448,7 @@ def test_lumen_that_needs_too_large_a_grid_is_refused(tmp_path):
 
 
 def test_surface_reads_no_other_file(tmp_path):
-    """A material library that would never end."""
+    """The surface names a material library whose reading would never end."""
     path = cylinder(tmp_path / "a.obj")
     text = path.read_text()
     path.write_text(f"mtllib ../../../../../../dev/zero\nmtllib /dev/zero\nusemtl x\n{text}")
@@ -456,7 +456,7 @@ def test_surface_reads_no_other_file(tmp_path):
 
 
 def test_nothing_is_printed_before_the_sentence(tmp_path, capfd):
-    """By a library that logs the traceback of the error that it handles."""
+    """The library logs the traceback of an error that it handles."""
     text = (
         "solid a\nfacet normal 0 0 x\nouter loop\n" + 3 * "vertex 0 1 y\n" + "endloop\nendfacet\n"
     )

@@ -1,4 +1,4 @@
-"""The guide of a press: interpolation between meshes, and the state that it leads to."""
+"""The guide of a press: interpolation between meshes, and the states of guided presses."""
 
 import dataclasses
 
@@ -17,9 +17,10 @@ TOOLS = (Indenter(),)
 
 @pytest.mark.parametrize("halved", [(True, True), (False, True), (True, False), (False, False)])
 def test_interpolation_between_meshes_gives_the_place_of_every_node(halved):
-    """Exactly along the tube and at the coarse nodes; across to 5e-3 radii, measured 4e-3.
+    """Nodes are exact along the tube and at coarse nodes; across they are right to 5e-3 radii.
 
-    Of twelve quadratic elements to half a turn the widest are that far from the circle.
+    Measured 4e-3: the widest of twelve quadratic elements per half turn are that far from the
+    circle.
     """
     size = MeshSize(through_wall=1, around=12, along=10)
     coarse, fine = (
@@ -34,7 +35,7 @@ def test_interpolation_between_meshes_gives_the_place_of_every_node(halved):
 
 
 def test_coarse_mesh_is_of_the_same_part_and_only_where_it_saves_time():
-    """Not for a mesh with as few elements, nor for one that was not swept."""
+    """There is none for a mesh with as few elements, nor for one that was not swept."""
     fine = sweep(Tube(), REACH, FINE, halved=(False, True))
     coarse = coarse_mesh(fine, Tube(), TOOLS)
     assert coarse.halved == fine.halved
@@ -45,7 +46,7 @@ def test_coarse_mesh_is_of_the_same_part_and_only_where_it_saves_time():
 
 @pytest.mark.slow
 def test_guided_press_ends_in_the_state_of_a_path_on_its_own_mesh(monkeypatch):
-    """At 1 and 2 mm, free: force and displacements to Newton's tolerance; rows for these only."""
+    """At 1 and 2 mm, free, to Newton's tolerance; there are no other rows."""
     depths = [1e-3, 2e-3]
     guided = indent(Tube(), TOOLS, depth=depths, support="free", mesh=FINE)
     assert list(guided.depth) == [0.0, *depths]
@@ -59,7 +60,7 @@ def test_guided_press_ends_in_the_state_of_a_path_on_its_own_mesh(monkeypatch):
 
 @pytest.mark.slow
 def test_press_goes_on_alone_where_its_guide_ends(monkeypatch):
-    """A guide that stops at 0.3 mm is left there; the depths asked for are reached all the same."""
+    """The guide stops at 0.3 mm; the requested depths are reached without it."""
     limit, solve = 0.3e-3, load_path.minimise
     lowest, sizes = Tube().outer_diameter / 2 - limit, set()
 
@@ -78,8 +79,8 @@ def test_press_goes_on_alone_where_its_guide_ends(monkeypatch):
     assert found.depth[1] == pytest.approx(limit, rel=0.01)
 
 
-def test_guide_that_cannot_start_is_no_guide(monkeypatch):
-    """Newton's method without iterations: the press ends at first contact, and says so."""
+def test_press_whose_guide_cannot_start_reports_first_contact(monkeypatch):
+    """Without iterations of Newton's method the press ends at first contact, and reports it."""
     monkeypatch.setattr(load_path, "SMALLEST_INCREMENT", load_path.FIRST_INCREMENT)
     monkeypatch.setattr("acoustube.indentation.newton.MAX_ITERATIONS", 0)
     with pytest.raises(PressError, match=r"depth of 0\.00 mm of 1\.00 mm"):

@@ -1,4 +1,4 @@
-"""The press of the whole tube, against an independent solution and against scaling laws."""
+"""The press of the whole tube, against an independent solution and scaling laws."""
 
 import csv
 import dataclasses
@@ -76,8 +76,8 @@ def sections(indentation, depth_mm):
 def assert_reference(indentation, depth_mm, force_tolerance, width_tolerance=0.02):
     """Compare with the independent solution.
 
-    Its own accuracy (0.005 mm, 0.03 to 0.06 mm2) and the facets of the section (1e-4 of the area)
-    are well within 0.02 mm and 0.15 mm2.
+    The solution is accurate to 0.005 mm and 0.03 to 0.06 mm2, and the facets of the section to 1e-4
+    of the area: both are well within the tolerances of 0.02 mm and 0.15 mm2.
     """
     found, expected = sections(indentation, depth_mm), reference()[depth_mm]
     assert found["force_N"] == pytest.approx(expected["force_N"], rel=force_tolerance)
@@ -88,7 +88,7 @@ def assert_reference(indentation, depth_mm, force_tolerance, width_tolerance=0.0
 
 @pytest.mark.parametrize("depth_mm", [1, 2])
 def test_shallow_press_agrees_with_calculix(depth_mm):
-    """Force within 0.8 %: measured 0.10 and -0.04 %; the reference's own accuracy is 0.5 %."""
+    """The force is within 0.8 %: measured 0.10 and -0.04 %; the reference is accurate to 0.5 %."""
     assert_reference(pressed(1, 2), depth_mm, 0.008)
 
 
@@ -106,11 +106,11 @@ def test_shallow_press_agrees_with_calculix(depth_mm):
     ],
 )
 def test_deep_press_agrees_with_calculix(depth_mm, force_tolerance, width_tolerance):
-    """Force within the reference's own accuracy: 0.5 % to 5 mm, 1 % at 6 mm and 2 % at 7 mm.
+    """Force within the reference's accuracy: 0.5 % to 5 mm, 1 % at 6 mm and 2 % at 7 mm.
 
-    With what the mesh itself may be off. Measured 0.06, 0.15, 0.6, 0.7, 1.3 and 1.4 %. The width
-    across the lateral folds is 0.04 mm larger at 7 mm, and 0.06 mm larger on the fine mesh, so that
-    the tolerance there is the reference's error.
+    The error of the mesh is added. Measured 0.06, 0.15, 0.6, 0.7, 1.3 and 1.4 %. The width across
+    the lateral folds is 0.04 mm larger at 7 mm, and 0.06 mm larger on the fine mesh, so that the
+    tolerance there is the reference's error.
     """
     assert_reference(pressed(*DEEP), depth_mm, force_tolerance, width_tolerance)
 
@@ -121,9 +121,9 @@ def test_deep_press_agrees_with_calculix(depth_mm, force_tolerance, width_tolera
     ("depth_mm", "force_n"), [(2, 1.0297), (4, 2.1132), (6, 3.8183), (7, 5.4247)]
 )
 def test_force_is_that_to_which_refined_meshes_tend(depth_mm, force_n):
-    """Within 0.5 %: measured 0.04, 0.13, 0.17 and 0.34 %.
+    """The force is within 0.5 % of the limit: measured 0.04, 0.13, 0.17 and 0.34 %.
 
-    The limits are Richardson's, of 3 x 30 x 20 and 4 x 40 x 26 elements
+    The limits are extrapolated by Richardson's method from 3 x 30 x 20 and 4 x 40 x 26 elements
     (benchmarks/indentation_against_calculix.py), with uncertainties of 0.01 to 0.32 %.
     """
     assert sections(pressed(*DEEP), depth_mm)["force_N"] == pytest.approx(force_n, rel=5e-3)
@@ -131,8 +131,8 @@ def test_force_is_that_to_which_refined_meshes_tend(depth_mm, force_n):
 
 @pytest.mark.slow
 @pytest.mark.xdist_group("calculix")
-def test_force_at_4_mm_is_what_tetrahedra_are_held_to():
-    """The number that other tests compare with is the press's own; it moves by less than 0.05 %."""
+def test_force_at_4_mm_is_the_constant_of_the_tests_of_tetrahedra():
+    """The constant with which other tests compare is the force of this press, to 0.05 %."""
     force = sections(pressed(*DEEP), 4)["force_N"]
     assert force == pytest.approx(HEXAHEDRA_AT_4_MM, rel=5e-4)
 
@@ -140,9 +140,9 @@ def test_force_at_4_mm_is_what_tetrahedra_are_held_to():
 @pytest.mark.slow
 @pytest.mark.xdist_group("calculix")
 def test_press_closes_the_lumen_and_its_walls_never_cross():
-    """The reference's height extrapolates to closure near 7.99 mm; the barrier acts 0.02 mm before.
+    """Open at 7.5 mm, closed at 8 mm, with the roof above the bed at every increment.
 
-    Open at 7.5 mm, closed at 8 mm, and at every increment the roof of the lumen is above its bed.
+    The reference's height extrapolates to closure near 7.99 mm; the barrier acts 0.02 mm before.
     """
     deep = pressed(*DEEP)
     assert not deep.closed[np.flatnonzero(deep.depth == 7.5e-3)[0]]
@@ -167,9 +167,10 @@ def sharpest_turn(indentation):
 @pytest.mark.slow
 @pytest.mark.xdist_group("calculix")
 def test_folds_stay_smooth_to_a_closed_lumen():
-    """A closed fold turns by 180 degrees over some five chords; creases turn back and forth.
+    """No angle between neighbouring chords of the fold exceeds 75 degrees, and J stays above 0.6.
 
-    Measured 52 degrees at most, J at least 0.67; without the skin 150 degrees and 0.45.
+    A closed fold turns by 180 degrees over some five chords; creases turn back and forth. Measured
+    52 degrees at most, J at least 0.67; without the skin 150 degrees and 0.45.
     """
     deep = pressed(*DEEP)
     assert sharpest_turn(deep) < 75
@@ -180,7 +181,10 @@ def test_folds_stay_smooth_to_a_closed_lumen():
 @pytest.mark.long
 @pytest.mark.xdist_group("calculix")
 def test_skin_of_the_folds_changes_force_and_area_by_less_than_half_a_percent(monkeypatch):
-    """Without it, up to 6 mm, where the folds are smooth by themselves: measured 0.18 % there."""
+    """Force and area with and without the skin, to 6 mm, where the folds are smooth without it.
+
+    Measured 0.18 %.
+    """
     with_skin = pressed(*DEEP)
     monkeypatch.setattr(wrinkle_penalty, "STIFFNESS", 0.0)
     without = indent(Tube(), Indenter(diameter=ROD), depth=[4e-3, 6e-3], support="free")
@@ -201,7 +205,7 @@ def test_asked_depths_are_met_exactly_and_in_order():
 
 
 def test_increments_are_in_equilibrium_and_on_their_symmetry_planes():
-    """The norm of the out-of-balance forces is what FORCE_TOLERANCE promises."""
+    """Out-of-balance forces have a norm below FORCE_TOLERANCE."""
     found, tube = pressed(0.3, 0.31, 0.8, size=COARSE), Tube()
     tolerance = load_path.FORCE_TOLERANCE * tube.shear_modulus * tube.inner_diameter**2
     assert found.residual.max() <= tolerance
@@ -212,7 +216,7 @@ def test_increments_are_in_equilibrium_and_on_their_symmetry_planes():
 
 
 def test_held_support_keeps_the_bottom_line_and_free_lets_it_tilt():
-    """Held is 3 to 4 % stiffer at 2 mm (reference solution); 2 to 6 % on this mesh."""
+    """A held tube is 3 to 4 % stiffer at 2 mm in the reference solution; 2 to 6 % on this mesh."""
     free, held = (pressed(2, size=COARSE, support=support) for support in ("free", "held"))
     bottom = held.mesh.bottom
     assert np.all(held.displacement[:, bottom, 1] == 0.0)
@@ -233,8 +237,8 @@ def test_progress_rises_to_one_with_every_increment():
 def test_twice_the_size_takes_four_times_the_force():
     """Dimensional analysis: force = mu D^2 f(depth / D, ...), and so does the algorithm's path.
 
-    The path is the same but for round-off, which decides where Newton's method stops. It stops at
-    a norm of 3e-7 N, and a sum over 2000 nodes may be fifty times the norm: 2e-5 of 1 N.
+    The path differs by round-off only, which decides where Newton's method stops. It stops at a
+    norm of 3e-7 N, and a sum over 2000 nodes may be fifty times the norm: 2e-5 of 1 N.
     """
     tube = Tube()
     twice = Tube(inner_diameter=2 * tube.inner_diameter, wall_thickness=2 * tube.wall_thickness)
@@ -245,9 +249,10 @@ def test_twice_the_size_takes_four_times_the_force():
 
 
 def test_force_is_proportional_to_the_shear_modulus():
-    """At a given Poisson's ratio; 3.7 so that no power of two hides round-off. Shapes are equal.
+    """At a given Poisson's ratio forces are in proportion and shapes are equal.
 
-    To where Newton's method may stop, 2e-5 of 1 N.
+    The factor of 3.7 is no power of two, so that round-off is not hidden. The tolerance is where
+    Newton's method may stop, 2e-5 of 1 N.
     """
     tube = Tube()
     stiff = Tube(shear_modulus=3.7 * tube.shear_modulus)
@@ -261,7 +266,7 @@ def forces_at_2mm(*sizes):
 
 
 def test_force_falls_to_a_limit_as_the_mesh_is_refined():
-    """Displacement elements are too stiff: 1.149, 1.056, 1.031 N; the reference gives 1.030 N."""
+    """Displacement elements are too stiff: 1.149, 1.056, 1.031 N; the reference has 1.030 N."""
     coarse, middle, default = forces_at_2mm(COARSE, MIDDLE, None)
     assert coarse > middle > default
     assert middle - default < 0.3 * (coarse - middle)
@@ -270,14 +275,14 @@ def test_force_falls_to_a_limit_as_the_mesh_is_refined():
 @pytest.mark.slow
 @pytest.mark.long
 def test_default_mesh_is_within_half_a_percent_of_a_finer_one():
-    """About half the element size in volume; the difference to the default is still falling."""
+    """Against elements of about half the volume; the difference still decreases."""
     coarse, default, fine = forces_at_2mm(COARSE, None, FINE)
     assert default == pytest.approx(fine, rel=5e-3)
     assert abs(default - fine) < 0.25 * abs(coarse - default)
 
 
-def test_press_that_cannot_converge_says_how_deep_it_came_and_keeps_it(monkeypatch):
-    """Newton fails below 0.3 mm: the increments are halved towards it, to within the smallest."""
+def test_press_that_cannot_converge_reports_and_keeps_the_depth_reached(monkeypatch):
+    """Newton's method fails below 0.3 mm: increments are halved until the smallest is reached."""
     wall, minimise = 3e-4, load_path.minimise
     lowest = Tube().outer_diameter / 2 - wall
 
@@ -299,9 +304,11 @@ def test_press_that_cannot_converge_says_how_deep_it_came_and_keeps_it(monkeypat
     assert np.all(np.diff(kept.contact_force) > 0)
 
 
-def test_middle_depth_that_fails_ends_the_press_there_and_says_what_was_reached(monkeypatch):
-    """0.5 mm is solved before 0.4 mm, at which Newton fails from wherever it starts: the rows end
-    before that, though a deeper one was found."""
+def test_failure_at_a_middle_depth_ends_the_press_and_reports_the_depths(monkeypatch):
+    """0.5 mm is solved before 0.4 mm, at which Newton's method fails from any start.
+
+    The rows end before 0.4 mm, although a deeper one has been solved.
+    """
     solve, gap, solved = load_path.minimise, (0.35e-3, 0.45e-3), []
 
     def blocked(model, start, bodies, tolerance):
@@ -324,8 +331,8 @@ def test_middle_depth_that_fails_ends_the_press_there_and_says_what_was_reached(
     assert np.all(np.diff(kept.depth) > 0)
 
 
-def test_newton_without_iterations_stops_the_press(monkeypatch):
-    """One iteration cannot find a contact; nothing but the first touch is reached."""
+def test_newton_with_one_iteration_stops_the_press(monkeypatch):
+    """One iteration does not suffice for a contact; only the first touch is reached."""
     monkeypatch.setattr(newton, "MAX_ITERATIONS", 1)
     monkeypatch.setattr(load_path, "SMALLEST_INCREMENT", load_path.FIRST_INCREMENT)
     with pytest.raises(PressError, match=r"depth of 0\.00 mm of 1\.00 mm") as stopped:
@@ -345,7 +352,7 @@ def test_newton_without_iterations_stops_the_press(monkeypatch):
     ],
 )
 def test_whole_tube_is_pressed_like_its_quarter(tool):
-    """The same elements four times: force, section and energy agree to Newton's tolerance, 1e-6."""
+    """A mesh of four quarters gives force, section and energy within Newton's tolerance, 1e-6."""
     size = MeshSize(through_wall=1, around=6, along=5)
     quarter, whole = (pressed(1, tool=tool, size=size, whole=w) for w in (False, True))
     assert whole.mesh.halved == (False, False)
@@ -359,9 +366,9 @@ def test_whole_tube_is_pressed_like_its_quarter(tool):
 
 @pytest.mark.slow
 def test_turned_rod_presses_alike_to_either_side():
-    """Mirror images: a rod turned by 20 degrees one way and the other, force to 1e-6.
+    """Rods turned by 20 degrees either way are mirror images: equal forces to 1e-6.
 
-    It crosses the tube on a longer strip than a straight one and needs more force.
+    A turned rod crosses the tube on a longer strip than a straight one and needs more force.
     """
     size = MeshSize(through_wall=1, around=6, along=5)
     left, right = (
@@ -375,7 +382,7 @@ def test_turned_rod_presses_alike_to_either_side():
 
 @pytest.mark.slow
 def test_press_beside_the_axis_leaves_the_lumen_lopsided():
-    """2 mm to the right: the wall goes down there, and mirrored to the left; force to 1e-6."""
+    """A rod 2 mm to the right lowers the wall there; mirrored presses agree to 1e-6."""
     size = MeshSize(through_wall=1, around=6, along=5)
     left, right = (
         pressed(1, tool=Indenter(shape="sphere", diameter=10e-3, x=x), size=size)
@@ -392,9 +399,9 @@ def test_press_beside_the_axis_leaves_the_lumen_lopsided():
 
 @pytest.mark.slow
 def test_free_tube_under_a_sphere_beside_its_axis_does_not_roll_away():
-    """Beyond the modelled length it lies still: its ends move by under 2 % of what its middle does.
+    """The tube beyond the modelled length lies still: the ends move by under 2 % of the middle.
 
-    Frictionless and round, it would roll as a rigid body: the ends moved by 43 % of it then.
+    Frictionless and round, it would roll as a rigid body, and the ends would move by 43 %.
     """
     tube = Tube(inner_diameter=8.4e-3, wall_thickness=3.2e-3)
     tool = Indenter(shape="sphere", diameter=60e-3, x=2e-3)
@@ -408,9 +415,9 @@ def test_free_tube_under_a_sphere_beside_its_axis_does_not_roll_away():
 @pytest.mark.slow
 @pytest.mark.long
 def test_two_distant_presses_are_each_like_one_alone():
-    """60 mm apart, over five outer diameters: within 1 %; both to depths of their own.
+    """60 mm apart, over five outer diameters, to different depths: within 1 %.
 
-    Measured 0.2 and 0.6 %; the elements at a press, cut to fit the other, decide this.
+    Measured 0.2 and 0.6 %; this is due to the elements at a press, which are cut to fit the other.
     """
     size = MeshSize(through_wall=1, around=8, along=20)
     tools = (
@@ -427,9 +434,9 @@ def test_two_distant_presses_are_each_like_one_alone():
 
 
 def test_stiff_layer_is_a_floor_and_a_soft_one_takes_depth_away():
-    """A layer of 1 GPa and 1 mm gives way by micrometres: force within 1 % of the floor's.
+    """A layer of 1 GPa and 1 mm yields by micrometres: force within 1 % of the floor's.
 
-    One of 0.1 MPa and 10 mm shares the depth with the tube: less than 0.9 of the force.
+    A layer of 0.1 MPa and 10 mm is compressed with the tube: the force is below 0.9 of the floor's.
     """
     floor = pressed(0.5, size=COARSE).contact_force[-1]
     stiff, soft = (
@@ -451,7 +458,7 @@ def test_remembered_results_make_the_same_indentation():
 
 
 def test_mesh_of_ones_own_is_pressed():
-    """A mesh made beforehand is the mesh that its sizes would make."""
+    """A mesh made beforehand gives the force of the mesh that its sizes would make."""
     tube = Tube()
     mesh = sweep(tube, pressed_reach(tube.outer_diameter, ROD), COARSE)
     own = indent(tube, depth=3e-4, support="free", mesh=mesh)
@@ -465,7 +472,7 @@ def test_mesh_of_ones_own_is_pressed():
     [0.0, -1e-3, 8.8e-3, np.nan, np.inf, [2e-3, 1e-3], [1e-3, 1e-3], [1e-3, np.nan], []],
 )
 def test_impossible_depths_are_refused(depth):
-    """Not above zero, half a wall beyond the bore (8.7 mm), not rising, not numbers, or none."""
+    """Not above zero, half a wall beyond the bore (8.7 mm), decreasing, no numbers, or none."""
     with pytest.raises(ConfigError, match="depth = "):
         indent(Tube(), depth=depth, mesh=COARSE)
 
@@ -501,7 +508,7 @@ def test_impossible_arrangements_are_refused(arguments, message):
 
 
 def test_tool_beside_the_tube_is_not_pushed_into_the_floor():
-    """A 25 mm sphere 15 mm beside the axis touches 3.1 mm over the floor."""
+    """A 25 mm sphere 15 mm beside the axis touches the tube at 3.1 mm over the floor."""
     beside = Indenter(shape="sphere", diameter=25e-3, x=15e-3)
     with pytest.raises(ConfigError, match=r"sphere at x = 0\.015 m into the floor.*0\.0030"):
         indent(Tube(), beside, depth=4e-3, mesh=COARSE)
@@ -520,9 +527,9 @@ def test_tool_beside_the_tube_is_not_pushed_into_the_floor():
     ids=lambda tool: f"{1e3 * tool.diameter:g} mm {tool.shape}",
 )
 def test_every_tool_goes_to_a_depth_of_8_mm(tool, support):
-    """On a coarse mesh; `benchmarks/indentation_presses.py` does it on the default one.
+    """On a coarse mesh; `benchmarks/indentation_presses.py` uses the default one.
 
-    The force rises throughout, the walls never cross, and no element comes near to turning over.
+    The force rises throughout, the walls never cross, and no element comes near to inversion.
     """
     size = MeshSize(through_wall=1, around=12, along=10)
     found = pressed(8, tool=tool, size=size, support=support)

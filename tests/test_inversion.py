@@ -1,4 +1,4 @@
-"""Waveform inversion: its forward model, its Jacobian, and presses found again in recordings."""
+"""Waveform inversion: its forward model, its Jacobian, and presses estimated from recordings."""
 
 import csv
 import dataclasses
@@ -47,8 +47,11 @@ CUT_ONS = np.array([cut_on_frequency(*one, RADIUS, air_at(20.0).sound_speed) for
 
 
 def matrices(depth, frequency):
-    """Return scattering like that of a press: an echo that grows and turns with depth, a trapped
-    mode whose resonance falls, and coupling to the higher modes; (n, n_f, 2, 3, 2, 3)."""
+    """Return synthetic scattering like that of a press, (n, n_f, 2, 3, 2, 3).
+
+    The reflection grows and its phase turns with depth; a trapped mode's resonance falls; the
+    higher modes are coupled.
+    """
     d, f = 1e3 * np.atleast_1d(depth)[:, None], frequency / 42e3
     found = np.zeros((len(d), len(frequency), 2, 3, 2, 3), complex)
     resonance = 1 / (1 + 40j * (f * (1 + 0.01 * d) - 1.03))
@@ -80,9 +83,9 @@ def tool(step=0.1e-3, **changes):
 
 
 def press(depth, place, frequency=None, error=0.0, phase=0.0):
-    """Return a press of this scattering, over the band of the recordings.
+    """Return a press of this scattering over the band of the recordings.
 
-    With a relative error of its reflection, real and imaginary part, that varies over 5 kHz.
+    Its reflection has a relative error, in real and imaginary part, that varies over 5 kHz.
     """
     frequency = np.arange(20e3, 70e3, 100.0) if frequency is None else frequency
     s = matrices(depth, frequency)[0]
@@ -125,7 +128,7 @@ def inverter(model):
 
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_echo_of_presses_is_that_of_the_network_of_waves(n):
-    """The same echo by another code: with all multiple reflections, also at the face."""
+    """The echo is that of another code, with all multiple reflections, also at the face."""
     places, depths = np.array([0.41, 0.63, 1.3])[:n], np.array([4.2e-3, 5.1e-3, 6.3e-3])[:n]
     air, frequency = air_at(20.0), np.arange(37e3, 47e3, 100.0)
     k = np.stack([axial_wavenumber(*one, frequency, RADIUS, air) for one in NUMBERS], -1)
@@ -136,14 +139,14 @@ def test_echo_of_presses_is_that_of_the_network_of_waves(n):
     found = echo(given[:-1], heard, places[None], Waves(k[None], k[None]), 0.3)
     pressure = transfer(presses, air, frequency, radius=RADIUS, length=2.5, probes=[0.0],
                         source_reflection=0.3, far_reflection=0.0)[0]  # fmt: skip
-    # Frequencies are given ones, which its interpolation returns within rounding.
+    # At these frequencies the interpolation of that code is exact to rounding.
     expected = (pressure - 1) / 1.3
     assert np.abs(found.value[0] - expected).max() < 1e-9 * np.abs(expected).max()
-    # By the network of wrapped tubes too, with all derivatives, here of a straight one.
+    # Also by the network of wrapped tubes, with all derivatives, here for a straight tube.
     sections = StraightPath(k, k, air.sound_speed).sections(places[None], np.zeros(1))
     n_f = len(frequency)
     joints = np.zeros((2, 1, n_f, 27), complex)
-    joints[..., [0, 4, 8]] = 1.0  # which pass all, and reflect nothing
+    joints[..., [0, 4, 8]] = 1.0  # full transmission, no reflection
     still = {
         "joints": joints, "moved": 0 * joints, "way": np.ones((1, n_f, 3), complex),
         "warm": np.zeros((n_f, 3), complex), "through": np.zeros((1, n_f, 0), complex),
@@ -156,7 +159,7 @@ def test_echo_of_presses_is_that_of_the_network_of_waves(n):
 
 @pytest.mark.parametrize("length", [1.0, 2.0, 2.5])
 def test_clutter_learned_at_another_temperature_has_the_same_times(length):
-    """The window ends at the last echo of the coldest air, whatever the air."""
+    """The window ends at the last echo of the coldest air, whatever the temperature."""
     warm, cold = (Baseband(Rangefinder(), RADIUS, length, air, MODES) for air in (34.7, -19.0))
     assert np.array_equal(warm.window, cold.window)
     assert warm.window[-1] > 2 * length / cold.air.sound_speed + 0.9e-3
@@ -179,7 +182,7 @@ def test_table_interpolates_depth_and_frequency(base):
 def test_table_interpolates_frequency_above_a_cut_on(base):
     """A membrane's reflection of the third mode, from 0.3 kHz above its cut-on at 42.2 kHz.
 
-    With the step interpolated too it is off by up to 0.1.
+    Were the step at the cut-on interpolated too, it would be off by up to 0.1.
     """
     depth, cut_on = np.linspace(1e-3, 2e-3, 5), CUT_ONS[2]
 
@@ -197,7 +200,7 @@ def test_table_interpolates_frequency_above_a_cut_on(base):
 
 
 def test_table_keeps_sound_that_rings_for_milliseconds():
-    """A trapped mode that rings for 1.4 ms: its response until 5 ms, known every 100 Hz."""
+    """A trapped mode with a decay time of 1.4 ms, to 5 ms, given every 100 Hz."""
     frequency, quality = np.arange(33.6e3, 50.5e3, 100.0), 180.0
 
     def ring(f):
@@ -220,7 +223,7 @@ def test_table_keeps_sound_that_rings_for_milliseconds():
 
 @pytest.mark.parametrize("places", [[0.52], [0.52, 0.81], [0.47, 0.66, 1.21]])
 def test_jacobian_is_that_of_differences(model, places):
-    """By fourth-order differences, off the nodes of the clutter's table."""
+    """Derivatives equal fourth-order differences, between the nodes of the clutter's table."""
     m = len(places)
     start = np.concatenate([
         np.ravel(np.column_stack([np.array(places) + 3e-3, [4.31e-3, 5.13e-3, 3.37e-3][:m]])),
@@ -241,14 +244,14 @@ def test_jacobian_is_that_of_differences(model, places):
 
 
 def test_forward_model_is_the_recording_of_the_rangefinder(library):
-    """Without noise, clutter and far end, in the window that the inversion uses."""
+    """Both without noise, clutter and far end, in the window that the inversion uses."""
     silent = Rangefinder(clutter=0.0, noise=0.0, drift=0.0, quantised=False, far_reflection=0.0)
     own = Baseband(silent, RADIUS, 2.5, 20.0, MODES)
     cycle = record([press(5.03e-3, 0.8)], silent, n_cycles=1)["signal"].values
     given, _ = own.of_cycles(cycle)
     place, depth = np.array([[0.8]]), np.array([[5.03e-3]])
     found, _ = ForwardModel(library, own).baseband((0,), place, depth, np.zeros((1, 6)))
-    # The taper's sidelobes, of the pulse's fade and of what is cyclic.
+    # Side lobes of the taper, by the fading of the pulse and by cyclic time.
     assert np.abs(found[0] - given).max() < 2e-3 * np.abs(given).max()
 
 
@@ -267,8 +270,8 @@ def test_press_is_found_at_its_place_and_depth(inverter, place, depth):
 
 
 @pytest.mark.slow
-def test_intervals_hold_the_truth_and_their_errors_are_small(inverter):
-    """Ten presses to 1.2 m: 68 and 90 % intervals of 20 quantities."""
+def test_intervals_have_their_coverage_and_errors_are_small(inverter):
+    """Coverage of 68 and 90 % intervals of 20 quantities, of ten presses up to 1.2 m."""
     rng, inside = np.random.default_rng(5), []
     for i in range(10):
         place, depth = rng.uniform(0.35, 1.2), rng.uniform(2.5e-3, 6.5e-3)
@@ -278,16 +281,16 @@ def test_intervals_hold_the_truth_and_their_errors_are_small(inverter):
         for one, truth in ((contact.distance, place), (contact.depth, depth)):
             inside.append([low <= truth <= high for low, high in one.intervals.values()])
         assert abs(contact.distance.value - place) < 3e-4
-    # Binomial, at the 0.1 % level; places also have the thermometer's share and hold more.
+    # Binomial, at the 0.1 % level; positions include the thermometer's error, and more hold.
     assert np.mean(inside, axis=0)[0] > 0.35
     assert np.mean(inside, axis=0)[1] > 0.65
 
 
 @pytest.mark.slow
 def test_restricted_deviance_is_that_of_the_marginal_likelihood():
-    """Of a linear model, whose parameters add ``J L J^T`` to the covariance of its data.
+    """For a linear model, whose parameters add ``J L J^T`` to the covariance of its data.
 
-    Differences between two weights; place and depth have a wide prior there.
+    Compared are differences between two weights; position and depth have a wide prior.
     """
     rng, n = np.random.default_rng(8), 30
     jacobian = rng.normal(size=(1, 8, n)) + 1j * rng.normal(size=(1, 8, n))
@@ -297,7 +300,7 @@ def test_restricted_deviance_is_that_of_the_marginal_likelihood():
     at = np.concatenate([[0.6, 4e-3], 1e-3 * rng.normal(size=6)])[None]
     model = SimpleNamespace(priors=Priors())
     prior = np.concatenate([[1.0, 1.0], model.priors.deviations**2])
-    # As real data about zero nuisances, which have a prior there.
+    # As real data about nuisance parameters of zero, the mean of their prior.
     slopes = np.concatenate([jacobian[0].real, jacobian[0].imag], axis=1).T
     data = np.concatenate([residual[0].real, residual[0].imag])
     data = data + slopes[:, 2:] @ at[0, 2:]
@@ -317,7 +320,7 @@ def test_restricted_deviance_is_that_of_the_marginal_likelihood():
 
 
 def test_error_of_the_model_widens_the_intervals_of_depth(base, library, untouched):
-    """Ten presses whose reflection is off by 14 % rms, of known offsets of mesh and solver."""
+    """Ten presses whose reflection is off by 14 % rms, as by known errors of mesh and solver."""
     exact = Priors(thermometer=0.0, place=0.0, depth=0.0)
     clutter = measured_clutter(base, untouched)
     own = Inverter(ForwardModel(library, base, clutter, exact), most=1)
@@ -332,13 +335,13 @@ def test_error_of_the_model_widens_the_intervals_of_depth(base, library, untouch
             if error:
                 low, high = found.depth.intervals[0.9]
                 inside.append(low <= depth <= high)
-    # Of 10, fewer than 5 hold with a probability of 0.02 % if each does with 0.9.
+    # If each holds with a probability of 0.9, fewer than 5 of 10 hold with one of 0.02 %.
     assert np.mean(inside) > 0.45
     assert np.median(wide) > 4 * np.median(narrow)
 
 
 def test_tolerances_of_bore_and_modulus_widen_depth_and_force(base, library, untouched):
-    """In proportion: 2 % of the bore and 5 % of the modulus, besides the other deviations."""
+    """Errors of 2 % of the bore and 5 % of the modulus add to the other variances in proportion."""
     clutter = measured_clutter(base, untouched)
     cycles = record([press(5e-3, 0.6)], n_cycles=20, tube_seed=7, seed=70)["signal"].values
 
@@ -356,8 +359,8 @@ def test_tolerances_of_bore_and_modulus_widen_depth_and_force(base, library, unt
     assert added == pytest.approx([0.0, 0.05 * contact.force.value], rel=1e-3, abs=1e-9)
 
 
-def test_two_depths_whose_echoes_are_alike_are_both_told(base, library, untouched):
-    """A tool that sounds at a depth d over 4 mm nearly as at 8 mm - d."""
+def test_two_depths_of_similar_echoes_are_both_in_the_posterior(base, library, untouched):
+    """The tool has nearly the same echo at a depth d over 4 mm as at 8 mm - d."""
     known = library.tools[0]
 
     def heard(depth):
@@ -376,8 +379,8 @@ def test_two_depths_whose_echoes_are_alike_are_both_told(base, library, untouche
         assert low < depth < high
 
 
-def test_library_of_a_narrow_range_of_depths_tells_them(base, library, untouched):
-    """Every depth that could be tried lies within the distance of those that are tried."""
+def test_library_of_a_narrow_range_of_depths_gives_the_depth(base, library, untouched):
+    """No other depths are tried: all are closer to the found one than the spacing of the trials."""
     known = library.tools[0]
     near = np.abs(known.depth - 5e-3) < 0.35e-3
     names = ("depth", "force", "force_error", "s", "error")
@@ -392,7 +395,7 @@ def test_library_of_a_narrow_range_of_depths_tells_them(base, library, untouched
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("apart", "depths"), [(0.4, (4e-3, 4.5e-3)), (0.2, (3e-3, 5e-3))])
-def test_two_presses_are_told_apart(inverter, apart, depths):
+def test_two_presses_are_resolved(inverter, apart, depths):
     presses = [press(d, z) for d, z in zip(depths, (0.6, 0.6 + apart), strict=True)]
     found = inverter(record(presses, n_cycles=20, tube_seed=7, seed=5)["signal"].values)
     assert [c.distance.value for c in found.contacts] == pytest.approx([0.6, 0.6 + apart], abs=1e-3)
@@ -401,8 +404,12 @@ def test_two_presses_are_told_apart(inverter, apart, depths):
 
 
 @pytest.mark.slow
-def test_three_presses_are_told_where_two_of_them_are_misplaced_alone(inverter):
-    """Echoes 1 % off. Two presses alone explain little, and are doubted; with the third all fit."""
+def test_three_presses_are_found_where_two_alone_are_misplaced(inverter):
+    """A model of two presses explains little; with the third all are at their positions.
+
+    The echoes have an error of 1 %. Two presses alone are discounted by a large estimated error of
+    the model.
+    """
     places, depths = [0.506, 0.889, 1.223], [2e-3, 5e-3, 6e-3]
     presses = [press(d, z, error=0.01, phase=1.0) for d, z in zip(depths, places, strict=True)]
     found = inverter(record(presses, n_cycles=20, tube_seed=7, seed=1)["signal"].values)
@@ -412,10 +419,11 @@ def test_three_presses_are_told_where_two_of_them_are_misplaced_alone(inverter):
 
 
 @pytest.mark.slow
-def test_error_of_the_model_is_no_further_contact(inverter):
-    """A press whose trapped mode is narrower and higher than the library's.
+def test_error_of_the_model_gives_no_false_detection(inverter):
+    """The trapped mode of the press is narrower and higher than the library's.
 
-    Two presses more, of the library, explain that better than independent errors of the samples do.
+    Two further presses of the library would reduce the residual more than independent errors of the
+    samples.
     """
     depth, frequency = 6.5e-3, np.arange(20e3, 70e3, 100.0)
     pressed = press(depth, 0.5)
@@ -435,8 +443,8 @@ def test_error_of_the_model_is_no_further_contact(inverter):
 @pytest.mark.parametrize(
     ("before", "place"), [([], 1.7), ([(6e-3, 0.6)], 0.9), ([(6e-3, 0.6)], 1.7)]
 )
-def test_press_is_found_from_the_limit_of_detection_on(inverter, before, place):
-    """All of three are found 0.3 mm deeper, and none 0.4 mm shallower.
+def test_press_is_found_beyond_the_limit_of_detection(inverter, before, place):
+    """All of three presses 0.3 mm deeper than the limit are found, and none 0.4 mm shallower.
 
     Measured, of six each: all at the limit, and 0 or 1 of those 0.3 mm shallower.
     """
@@ -453,7 +461,7 @@ def test_press_is_found_from_the_limit_of_detection_on(inverter, before, place):
 
 
 def test_picture_ends_with_the_tube_and_hatches_where_no_contact_is_sought(inverter, library):
-    """Within 3 cm of the contact, before the nearest place and at the end."""
+    """Within 3 cm of the contact, before the nearest position and at the end."""
     cycles = record([press(5e-3, 0.6)], n_cycles=20, tube_seed=7, seed=5)["signal"].values
     echo, limit, *_ = posterior_figure(inverter(cycles), library).axes
     assert echo.get_xlim() == limit.get_xlim() == (0.0, 250.0)
@@ -477,7 +485,7 @@ def test_limit_is_the_depth_beyond_which_all_are_found(surplus, limit):
 
 
 def test_limits_along_the_tube_are_the_worst_of_neighbours():
-    """There is none where the place itself has none."""
+    """The limit is nan where the position itself has none."""
     limit = {0.039: np.nan, 0.052: 2.0, 0.065: 1.0, 0.078: 3.0, 0.091: np.inf}
     places, depths = limits_along(
         lambda at: np.array([limit[round(z, 3)] for z in at]), (0.03, 0.1)
@@ -488,7 +496,7 @@ def test_limits_along_the_tube_are_the_worst_of_neighbours():
 
 @pytest.mark.parametrize("beat", [0.02, 0.04])
 def test_limits_along_the_tube_hold_where_modes_beat(beat):
-    """No phase of it is farther than 63 degrees from one of three places: 1 is told as 0.45."""
+    """One of three positions is within 63 degrees of the maximum: 1 is stated as 0.45."""
     turns = np.linspace(0, 2 * np.pi, 9)
 
     def limit(places, phase):
@@ -499,8 +507,8 @@ def test_limits_along_the_tube_hold_where_modes_beat(beat):
         assert depths[1:-1].min() > 0.45
 
 
-def test_press_without_an_echo_is_not_found(base, untouched):
-    """Where no press of the library reflects or converts, its limit is infinite."""
+def test_limit_of_a_tool_without_an_echo_is_infinite(base, untouched):
+    """No press of this library reflects or converts sound."""
     still = tool(s=matrices(np.full(61, 1e-6), FREQUENCY))
     model = ForwardModel(Library((still,)), base, measured_clutter(base, untouched))
     cycles = record([], n_cycles=20, tube_seed=7, seed=21)["signal"].values
@@ -515,7 +523,7 @@ def test_no_further_contact_is_found_where_none_is_sought(model):
 
 
 def test_limit_of_detection_rises_with_distance_and_ends(inverter):
-    """Of one cycle no press is found near the end; none is sought at a contact or off the tube."""
+    """In one cycle no press is detectable near the end; at a contact there is no limit."""
     cycles = record([press(6e-3, 0.6)], n_cycles=1, tube_seed=7, seed=5)["signal"].values
     found = inverter(cycles)
     limit = found.detection_limit([0.3, 0.5, 2.3, 0.61, 0.01, 2.6])
@@ -532,7 +540,7 @@ def test_untouched_tube_has_no_contact(inverter):
         assert not inverter(cycles["signal"].values).contacts
 
 
-def test_single_cycle_tells_a_press_less_exactly(inverter):
+def test_single_cycle_gives_a_larger_uncertainty(inverter):
     cycles = record([press(5e-3, 0.7)], n_cycles=20, tube_seed=7, seed=9)["signal"].values
     one, many = inverter(cycles[:1]), inverter(cycles)
     assert one.contacts[0].distance.value == pytest.approx(0.7, abs=1e-3)
@@ -540,16 +548,19 @@ def test_single_cycle_tells_a_press_less_exactly(inverter):
 
 
 def test_press_of_another_tool_is_a_misfit(base, untouched):
-    """Scattering that no depth of the library has: half the resonance, elsewhere."""
+    """The scattering is that of no depth in the library, whose frequency axis is reversed."""
     other = tool(s=matrices(np.arange(1e-3, 7.01e-3, 0.1e-3), FREQUENCY[::-1]))
     model = ForwardModel(Library((other,)), base, measured_clutter(base, untouched))
     cycles = record([press(5e-3, 0.7)], n_cycles=20, tube_seed=7, seed=9)["signal"].values
     assert not Inverter(model, most=1)(cycles).fits
 
 
-def test_echo_that_ends_otherwise_is_a_misfit(inverter):
-    """Trapped sound that the library lacks: late, where a further press would be hidden, and a
-    hundredth of the echo's energy (0.098 squared), which is less than the misfit that is told."""
+def test_echo_with_another_late_part_is_a_misfit(inverter):
+    """Late trapped sound that the library lacks, which could hide a press, is reported.
+
+    It is a hundredth of the echo's energy (0.098 squared), which is less than the threshold of the
+    misfit.
+    """
     pressed = press(6e-3, 0.5)
     matrix, f = pressed.scattering.s.copy(), pressed.scattering.frequency
     for port in (0, 1):
@@ -563,7 +574,7 @@ def test_echo_that_ends_otherwise_is_a_misfit(inverter):
     assert found[1].contacts[0].distance.value == pytest.approx(0.5, abs=1e-3)
 
 
-def test_tools_are_told_apart(base, untouched):
+def test_tools_are_identified(base, untouched):
     other = tool(diameter=10e-3, s=matrices(np.arange(1e-3, 7.01e-3, 0.1e-3), FREQUENCY[::-1]))
     model = ForwardModel(Library((other, tool())), base, measured_clutter(base, untouched))
     cycles = record([press(4e-3, 0.7)], n_cycles=20, tube_seed=7, seed=9)["signal"].values
@@ -600,7 +611,7 @@ def folder(tmp_path_factory):
 
 
 def inverted(folder, tmp_path, *names, group):
-    """Run the command with all its outputs; return the rows of its table of limits."""
+    """Run the command with all its outputs; return the rows of its table of limits of detection."""
     done = run_here(
         "invert", *(folder / name for name in names), "--library", folder / "lib", "--untouched",
         folder / "free.nc", "--group", group, "--out", tmp_path / "c.csv", "--figure",
@@ -618,7 +629,7 @@ def test_command_writes_a_row_a_contact(folder, tmp_path):
         (name, group) for name in ("p0.nc", "p1.nc") for group in "01"
     }
     first = {float(row["distance_cm"]): row for row in limits if row["recording"].endswith("p0.nc")}
-    assert not [z for z in first if abs(z - 53) < 3 or z < 10 or z > 250]  # at the contact
+    assert not [z for z in first if abs(z - 53) < 3 or z < 10 or z > 250]  # none at the contact
     near, far = first[29.9], first[149.5]
     assert 1 <= float(near["depth_mm"]) < float(far["depth_mm"]) <= 7
     assert float(far["misfit"]) < 0.15
@@ -638,14 +649,14 @@ def test_command_writes_a_row_a_contact(folder, tmp_path):
         assert row["indenter_mm"] == "25"
 
 
-def test_command_tells_the_limit_of_an_untouched_tube_and_draws_it(folder, tmp_path):
+def test_command_writes_and_draws_the_limit_of_an_untouched_tube(folder, tmp_path):
     limits = inverted(folder, tmp_path, "free.nc", group=100)
     assert {row["misfit"] for row in limits} == {"nan"}
     assert float(limits[-1]["depth_mm"]) > float(limits[0]["depth_mm"])
 
 
 def test_length_that_a_recording_states_counts_more_than_that_of_the_sensor_s_file():
-    """Contacts beyond the sensor's end would be lost."""
+    """Else contacts beyond the length in the sensor's file would be lost."""
     library, stated = Library((tool(),)), (("cycle",), [2.5, 2.5])
     for length in (None, 1.0):
         inverter = RecordingInverter(library, Sensor(length=length))
@@ -693,7 +704,7 @@ def test_library_of_tubes_of_two_bores_is_refused():
         Library((tool(), dataclasses.replace(tool(), radius=5e-3)))
 
 
-def test_assumed_length_of_the_tube_is_told(folder, tmp_path, capsys):
+def test_assumed_length_of_the_tube_is_reported(folder, tmp_path, capsys):
     silent = record([press(3e-3, 0.53)], n_cycles=2, tube_seed=7, seed=0)
     del silent.attrs["tube_length"]
     write(silent, tmp_path / "silent.nc")
@@ -726,8 +737,8 @@ def test_error_of_the_losses_is_an_imaginary_part_of_frequency_in_the_presses(ra
     assert np.abs(derivative - difference).max() < 3e-3 * np.abs(difference).max()
 
 
-def test_losses_take_an_error_of_the_decay_out_of_the_likelihood(model):
-    """A baseband that is off by one deviation of the losses is about as likely as an exact one."""
+def test_error_of_the_losses_adds_its_own_deviance_only(model):
+    """A baseband off by one deviation of the losses has 2 more deviance than an exact one."""
     parameters = np.array([0.7, 5.03e-3, *np.zeros(6)])
     echo = echo_of(model, (0,), parameters)
     size = float(np.abs(echo.by_losses).max())

@@ -39,7 +39,7 @@ def folder(tmp_path_factory):
 
 
 def test_finished_library_is_left_as_it_is_by_a_pool_of_workers(folder):
-    """As the studies build theirs, with the pool of the study before."""
+    """As the studies build their libraries, with the pool of the previous study."""
     plans = tool_plans({"depth_mm": ["1:3:0.5"]}, 0.01)
     before = (folder / "lib" / plans[0].name).read_bytes()
     assert build_library(plans, folder / "lib", workers=Workers(1))
@@ -48,7 +48,7 @@ def test_finished_library_is_left_as_it_is_by_a_pool_of_workers(folder):
 
 @pytest.mark.slow
 def test_errors_of_the_inversion_are_written(folder, tmp_path):
-    """Two groups of a recording; places within 0.3 mm, as of the inversion itself."""
+    """Two groups of a recording; positions within 0.3 mm, as in tests of the inversion."""
     done = run_here(
         "evaluate", folder / "lib", folder / "cycles", "--untouched", folder / "free.nc",
         "--group", 10, "--out", tmp_path / "t.csv", "--figure", tmp_path / "f.png",
@@ -83,7 +83,7 @@ def contact(probability, distance, force):
 @pytest.mark.parametrize(
     ("contacts", "distance"),
     [
-        ([(1.0, 0.3, 1.0), (0.65, 2.3, 8.0)], 0.3),  # a false contact is less sure, and hard
+        ([(1.0, 0.3, 1.0), (0.65, 2.3, 8.0)], 0.3),  # false, less probable, of high force
         ([(1.0, 0.3, 1.0), (1.0, 0.9, 2.0)], 0.9),
         ([(0.4, 0.3, 1.0)], np.nan),
         ([], np.nan),

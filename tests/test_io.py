@@ -1,4 +1,4 @@
-"""Folders: refused when taken, complete or absent when written."""
+"""Output folders: refused when they exist, and complete or absent after writing."""
 
 import os
 import signal

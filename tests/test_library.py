@@ -12,7 +12,7 @@ from acoustube.runs.libraries.plan import tool_plans
 
 
 class Matrix:
-    """Scattering with a resonance that sinks with depth, ever faster."""
+    """Scattering with a resonance whose frequency decreases faster and faster with depth."""
 
     def __init__(self, depth: float) -> None:
         f = np.linspace(0.8, 1.2, 169)[:, None, None, None, None]
@@ -42,12 +42,12 @@ def test_splines_over_refined_depths_meet_the_tolerance(tolerance):
     between = np.random.default_rng(0).uniform(depths[0], depths[-1], 60)
     errors = np.array([deviation(spline(d), Matrix(d).s) for d in between])
     assert np.median(errors) < 0.3 * tolerance
-    # Where the first depths do not resolve a resonance, their errors tell little of it.
+    # Where the first depths do not resolve a resonance, their estimates say little about it.
     assert errors.max() < 1.5 * tolerance
     assert len(depths) > 1.5 * len(refined(0.2).depths) if tolerance < 0.01 else len(depths) < 100
     told = found.between()[np.searchsorted(depths, between) - 1]
     assert np.mean(errors < 2 * told) > 0.95
-    # They exceed the errors by no more than their factor of safety explains.
+    # The estimates exceed the errors by no more than their factor of safety.
     assert np.median(told / errors) < 10
 
 
@@ -125,7 +125,7 @@ def test_folder_of_something_else_is_left_alone(tmp_path):
 
 @pytest.mark.slow
 def test_library_is_that_of_presses_to_its_depths(tmp_path):
-    """On a coarse mesh of a narrow tube: forces rise, and a repeat computes nothing."""
+    """On a coarse mesh of a narrow tube: forces increase, and a repetition computes nothing."""
     settings = tmp_path / "coarse.toml"
     settings.write_text('[indentation]\nmesh = "coarse"\n[waves]\nlosses = "off"\n')
     words = ["library", "--config", settings, "--indenter", 10, "--bore", 4, "--depth",

@@ -1,5 +1,7 @@
-"""Likelihood of a cycle, its derivatives, and where presses are sought: what the inversion's speed
-rests on, against the same computed at length."""
+"""Likelihood of a cycle, its derivatives, and the candidate positions of presses.
+
+Fast forms that the inversion uses are compared with direct computations.
+"""
 
 import dataclasses
 
@@ -49,9 +51,12 @@ def model():
 @pytest.mark.parametrize("learned", [True, False], ids=["learned", "unknown"])
 @pytest.mark.parametrize("rangefinder", [Rangefinder(), FOLDED], ids=["complex", "folded"])
 @pytest.mark.parametrize("quiet", [1.0, 1e-6], ids=["noise", "quiet"])
-def test_what_is_whitened_once_has_the_likelihood_of_the_weights(rangefinder, learned, quiet):
-    """In single precision where the clutter is learned; what is not known of it is a thousand times
-    the noise and more, and needs double. Deviances of some hundreds, within 0.02."""
+def test_whitened_residuals_have_the_deviance_of_the_weights(rangefinder, learned, quiet):
+    """Deviances of some hundreds from whitened residuals and from full weights agree within 0.02.
+
+    Single precision suffices where the clutter is learned. Unlearned clutter is a thousand times
+    the noise and more, and needs double precision.
+    """
     model = model_of(rangefinder, learned=learned)
     noise = quiet * model.base.noise(20)
     echo = echo_of(model, (0,), PRESS)
@@ -76,8 +81,11 @@ def test_first_samples_have_weights_of_their_own(model):
 
 
 def test_information_is_positive_where_place_and_temperature_are_one_delay():
-    """A loud echo without learned clutter: what tells place from temperature is the prior, the
-    difference of numbers 1e7 times as large. Products in single precision make it negative."""
+    """The information matrix is positive definite for a loud echo without learned clutter.
+
+    Position and temperature are distinguished by the prior only, a difference of numbers 1e7 times
+    as large. Products in single precision would make the matrix indefinite.
+    """
     model = model_of(Rangefinder(), learned=False)
     noise = 1e-3 * model.base.noise(20)
     echo = echo_of(model, (0,), PRESS)
@@ -111,8 +119,8 @@ def test_adjoint_is_that_of_the_first_samples_too(rangefinder):
 
 
 @pytest.mark.parametrize("lead", [0.0, 1.5e-3])
-def test_presses_are_heard_within_their_samples(lead):
-    """99.9 % of the energy of an echo, and the samples are fewer than all."""
+def test_echoes_lie_within_their_range_of_samples(lead):
+    """The range holds 99.9 % of the energy of an echo, and fewer than all samples."""
     device = dataclasses.replace(Rangefinder(), lead=lead)
     model = model_of(device, learned=False)
     for place in (0.4, 0.9):
@@ -129,7 +137,7 @@ def test_presses_are_heard_within_their_samples(lead):
 
 @pytest.mark.parametrize("drive", [{"lead": 3e-3}, {"drive": Burst(cycles=60)}])
 def test_a_first_press_is_sought_where_its_echo_begins(drive):
-    """Of a rangefinder that records for 3 ms before it sends, and of one that sends for 1.4 ms."""
+    """For a rangefinder that records for 3 ms before it sends, and one that sends for 1.4 ms."""
     device = dataclasses.replace(Rangefinder(), **drive)
     model = model_of(device, learned=True)
     cycles = record([press(4.1e-3, 0.62)], device, n_cycles=20, tube_seed=TUBE, seed=5,
@@ -157,7 +165,7 @@ def test_search_finds_nothing_outside_its_range_or_under_its_least_gain(model):
 
 
 @pytest.mark.parametrize("modes", [1, 2, 3])
-def test_what_is_heard_of_a_press_is_its_reflection_and_transmission(modes):
+def test_front_of_a_press_is_its_reflection_and_transmission(modes):
     base = Baseband(Rangefinder(), RADIUS, LENGTH, 20.0, MODES)
     table = ToolTable(tool(0.5e-3), base.frequency, modes)
     depth, stretch = np.array([2.3e-3, 5.1e-3]), np.array([0.0, 1e-3])
@@ -171,9 +179,10 @@ def test_what_is_heard_of_a_press_is_its_reflection_and_transmission(modes):
 
 
 def test_a_press_is_credited_beyond_its_own_small_error_of_the_model(model, monkeypatch):
-    """Without a third press, faint and behind two, the error of the model seems to be 0.1.
+    """A faint third press is accepted, although without it the error of the model seems to be 0.1.
 
-    Doubted by that it is worth less than nothing; with it the model is exact.
+    With that error of the model the third press would have a negative evidence; with the press the
+    model is exact.
     """
     pressed = [press(5e-3, 0.4), press(4e-3, 0.6), press(2.6e-3, 0.85)]
     cycles = record(pressed, n_cycles=20, tube_seed=TUBE, seed=6, length=LENGTH)["signal"].values

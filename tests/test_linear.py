@@ -16,7 +16,7 @@ FACES = np.array([[0, 3], [5, 7], [8, 2]])
 
 @pytest.fixture
 def free():
-    """Which components are unknowns: two thirds, of every node but one."""
+    """Mask of the unknown components: two thirds, of all nodes but one."""
     chosen = np.random.default_rng(0).random((N_NODES, 3)) < 0.7
     chosen[4] = False
     return chosen
@@ -43,7 +43,7 @@ def dense_sum(matrices):
 
 
 def test_assembled_matrix_is_the_lower_triangle_of_the_dense_sum(free):
-    """Of the unknowns only, in their order; to round-off of a few additions."""
+    """For the unknowns only, in their order; to the round-off of a few additions."""
     pattern = linear_solver.pattern(free, [ELEMENTS, FACES])
     lower = pattern.assemble(element_matrices())
     unknown = free.ravel()
@@ -55,14 +55,14 @@ def test_assembled_matrix_is_the_lower_triangle_of_the_dense_sum(free):
 
 
 def test_assembled_matrix_has_sorted_columns_without_duplicates(free):
-    """What a factorisation may expect of a compressed sparse matrix."""
+    """A factorisation may rely on this format of a compressed sparse matrix."""
     lower = linear_solver.pattern(free, [ELEMENTS, FACES]).assemble(element_matrices())
     for start, end in zip(lower.indptr[:-1], lower.indptr[1:], strict=True):
         assert np.all(np.diff(lower.indices[start:end]) > 0)
 
 
 def test_one_pattern_serves_other_matrices(free):
-    """The pattern keeps nothing of the values: twice the matrices are twice the sum."""
+    """The pattern holds no values: twice the matrices give twice the sum."""
     pattern = linear_solver.pattern(free, [ELEMENTS, FACES])
     matrices = element_matrices()
     once, twice = (pattern.assemble([scale * m for m in matrices]) for scale in (1, 2))
@@ -70,7 +70,7 @@ def test_one_pattern_serves_other_matrices(free):
 
 
 def test_restricted_matrix_is_that_of_the_unknowns(free):
-    """The same from a matrix of all components as from the elements'."""
+    """Restricting a matrix of all components equals assembling the elements' matrices."""
     matrices = element_matrices()
     pattern = linear_solver.pattern(free, [ELEMENTS, FACES])
     restricted = pattern.restrict(sparse.csr_array(dense_sum(matrices)))
@@ -98,7 +98,7 @@ METHODS = [pardiso, linear_solver.factorise]
 
 @pytest.mark.parametrize("method", METHODS)
 def test_factorisation_solves(method):
-    """Against a dense solve; the matrix's condition leaves 1e-10."""
+    """Compared with a dense solve; the condition of the matrix leaves 1e-10."""
     matrix = band_matrix()
     right = np.random.default_rng(3).normal(size=len(matrix))
     before = right.copy()
@@ -119,7 +119,7 @@ def test_columns_are_solved_as_they_are_alone(count):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_factorisation_refuses_an_indefinite_matrix(method):
-    """Shifted so that the lowest eigenvalue is just below zero, then one that is far below."""
+    """The lowest eigenvalue is shifted to just below zero, and then far below."""
     lowest = np.linalg.eigvalsh(band_matrix()).min()
     assert lowest > 0
     for shift in (-1.01 * lowest, -100 * lowest):
@@ -129,9 +129,10 @@ def test_factorisation_refuses_an_indefinite_matrix(method):
 
 
 def grid_matrix(shape, width=1, shift=0.0):
-    """Return the lower triangle of a random matrix of a grid's points, and the points.
+    """Return the lower triangle of a random matrix on the points of a grid, and the points.
 
-    Entries between points up to `width` apart along each axis; positive definite without a shift.
+    Entries are between points up to `width` apart along each axis; positive definite without a
+    shift.
     """
     points = np.stack([axis.ravel() for axis in np.indices(shape)], axis=1).astype(float)
     near = np.abs(points[:, None] - points).max(axis=2) <= width
@@ -143,7 +144,7 @@ def grid_matrix(shape, width=1, shift=0.0):
 
 
 def test_dissection_separates_its_parts():
-    """Of each entry one unknown is eliminated in the subtree of the other's front; planes are."""
+    """One unknown of each entry is in the subtree of the other's front; separators are planes."""
     matrix, points = grid_matrix((24, 9, 3))
     tree = dissected(lower_of(matrix), points)
     rows, columns = np.nonzero(matrix)
@@ -170,7 +171,7 @@ def test_pairs_that_a_dissection_separates_are_moved_to_where_it_does_not():
 @pytest.mark.parametrize("width", [1, 2])
 @pytest.mark.parametrize("shape", [(1, 1), (40, 8), (14, 7, 4)])
 def test_fronts_solve_as_a_dense_matrix(shape, width):
-    """Another matrix of the same sparsity, then one with more entries; one and two right sides."""
+    """Another matrix of the same sparsity, then one with more entries; 1 and 2 right sides."""
     matrix, points = grid_matrix(shape, width)
     analysis = Analysis(points)
     rng = np.random.default_rng(7)

@@ -33,7 +33,7 @@ def anchors(page):
 
 
 def assert_made_by_a_script(target):
-    """A picture of the gallery is named by the script that draws it, in either folder of them."""
+    """A picture of the gallery is named after the script that draws it."""
     picture = re.search(r"_generated/(\w+)/images/sphx_glr_(\w+)_\d{3}\.png$", target)
     if picture:
         folder = {"gallery": "examples", "verification": "docs/verification"}[picture[1]]
@@ -42,7 +42,7 @@ def assert_made_by_a_script(target):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_relative_links_point_to_what_exists(page):
-    """What the documentation's build makes is not looked for: it checks that itself."""
+    """Files made by the documentation's build are not checked: the build itself checks them."""
     for target, anchor in LINK.findall(prose(page)):
         if "_generated/" in target:
             assert_made_by_a_script(target)
@@ -53,7 +53,7 @@ def test_relative_links_point_to_what_exists(page):
 
 
 def test_every_failure_that_must_not_come_back_has_its_tests():
-    """The tables name tests by file and function; each row has one at least, and all exist."""
+    """The tables name tests by file and function: each row names at least one, and all exist."""
     text = (ROOT / "tests" / "README.md").read_text(encoding="utf-8")
     rows = [line for line in text.splitlines() if line.startswith("| ") and "cause |" not in line]
     assert len(rows) > 40

@@ -1,7 +1,7 @@
-"""The stream of a board: from bytes to frames, to distances, and the command on a pty.
+"""The stream of a board: from bytes to frames, to distances, and the command on a pseudo-terminal.
 
-The simulated board sends what EchoTube's firmware does: 2000 bytes per cycle, COBS-encoded and
-zero-terminated, the pulse width in the first two.
+The simulated board sends the data of EchoTube's firmware: 2000 bytes per cycle, COBS-encoded and
+zero-terminated, with the pulse width in the first two.
 """
 
 import csv
@@ -42,13 +42,12 @@ COMMAND = str(Path(sys.executable).with_name("acoustube"))
 HOW = signals.without_aliased_template(Processing(prominence=0.05), RATE)
 needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs a pseudo-terminal")
 
-# What is lost between the samples of 42 kHz at 80 kHz moves a peak by up to 9 mm, as
-# `without_aliased_template` states.
+# Sampling 42 kHz at 80 kHz shifts a peak by up to 9 mm, as `without_aliased_template` states.
 TOLERANCE = 0.012
 
 
 def run_live(port, console, *, out=None, duration=None, **stream):
-    """Run the command's work on a stream with some settings of its own."""
+    """Run the command's function on a stream, with given settings."""
     return live.run_live(Stream(port=port, **stream), console, out=out, duration=duration)
 
 
@@ -57,7 +56,7 @@ def run_live(port, console, *, out=None, duration=None, **stream):
 
 
 def test_streaming_is_the_batch():
-    """To rounding; the deviation to a few per cent, as a batch shares its window."""
+    """Distances agree to rounding, the deviation to a few per cent."""
     batch = signals.locate(TIME, CYCLES, HOW, temperature=24.0)
     tracker = Tracker(TIME, HOW)
     single = [tracker.update(cycle, temperature=24.0) for cycle in CYCLES]
@@ -82,7 +81,7 @@ def test_tracker_counts_silent_cycles_without_detection_and_refuses_others():
 
 
 def test_undersampled_carrier_is_located_without_the_matched_filter():
-    """Over 1.7 m of places: no bias beyond 1 mm, a deviation of 4 mm, none off by over 12 mm."""
+    """Errors over 1.7 m: mean under 1 mm, standard deviation 4 mm, none over 12 mm."""
     distances = np.linspace(0.3, 2.0, 300)
     error = signals.locate(TIME, cycles_at(distances), HOW).distance - distances
     assert abs(np.mean(error)) < 1e-3
@@ -93,7 +92,7 @@ def test_undersampled_carrier_is_located_without_the_matched_filter():
 
 
 def test_template_at_the_alias_frequency_would_be_worse():
-    """At 38 kHz a template would scatter distances 1.8 times as much as no template."""
+    """With a template at 38 kHz distances would vary 1.8 times as much as without one."""
     distances = np.linspace(0.3, 2.0, 300)
     share = 38 / 42
     alias = Processing(
@@ -108,7 +107,7 @@ def test_template_at_the_alias_frequency_would_be_worse():
 
 
 PLACES = np.repeat(np.arange(0.25, 2.0, 0.05), 6) + np.tile(np.arange(6) * 0.7e-3, 35)
-"""In groups of six, in which the carrier's phase goes once round."""
+"""In groups of six, over which the phase of the carrier runs through 2 pi."""
 
 
 def blocked():
@@ -149,7 +148,7 @@ def fed(decoder, pieces):
 
 
 def cut(data, sizes):
-    """Cut bytes into pieces of the sizes, over and over."""
+    """Cut bytes into pieces of the given sizes, repeated."""
     start, pieces = 0, []
     while start < len(data):
         for size in sizes:
@@ -183,7 +182,7 @@ def test_pulse_width_has_its_high_byte_first():
 @given(st.lists(st.integers(1, 700), min_size=1, max_size=20), st.integers(0, 2500))
 @settings(deadline=None, max_examples=50)
 def test_pieces_of_any_size_give_the_same_frames(sizes, skipped):
-    """Garbled ones and the joined start among them."""
+    """The stream includes garbled frames, and starts within a frame."""
     data = b"".join(FRAMES[:3]) + FRAMES[3][50:] + b"\0\0" + FRAMES[4] + b"\1" * 9000 + FRAMES[5]
     data = data[skipped:] + FRAMES[6]
     whole, pieced = Decoder(), Decoder()
@@ -203,9 +202,10 @@ def test_single_bytes_give_the_same_frames():
 
 
 def garbled(frame, kind):
-    """A frame damaged on its way: how it comes, and as how many garbled pieces it counts.
+    """Return a damaged frame, and as how many garbled pieces it must be counted.
 
-    A lost byte shows in 92 % of the frames (`Decoder`), those that are used here among them.
+    A lost byte is detected in 92 % of the frames (`Decoder`); those that are used here are among
+    them.
     """
     middle = len(frame) // 2
     return {
@@ -255,14 +255,14 @@ def test_stream_without_zero_is_cut_off_and_counted_once():
     tracemalloc.stop()
     assert counts(decoder) == (0, 1, 0)
     assert decoder.n_bytes == 10_000_000
-    assert grown < 20_000  # a frame and a bytearray's reserve
+    assert grown < 20_000  # a frame and the spare capacity of a bytearray
     assert [frame.pulse_width for frame in decoder.feed(b"\0" + FRAMES[5])] == [1005]
     assert counts(decoder) == (1, 1, 0)
 
 
 @pytest.mark.long
 def test_memory_is_flat_over_thousands_of_frames():
-    """A record of 3000 cycles would be 6 MB of samples, 48 MB of envelopes."""
+    """A record of 3000 cycles would take 6 MB of samples and 48 MB of envelopes."""
     decoder, tracker = Decoder(), Tracker(TIME, HOW)
     line = b"".join(FRAMES[:10])
 
@@ -289,7 +289,7 @@ def test_memory_is_flat_over_thousands_of_frames():
 
 
 class Scripted:
-    """A port that gives bytes at once, and then fails or stays silent."""
+    """A port that returns bytes at once, and then fails or is silent."""
 
     def __init__(self, *pieces, then=None):
         self.pieces, self.then = list(pieces), then
@@ -332,7 +332,7 @@ def test_what_came_before_the_failure_is_still_there():
 
 
 @needs_pty
-def test_defect_in_the_reading_thread_is_not_taken_for_a_cut_cable(board, monkeypatch):
+def test_defect_in_the_reading_thread_is_not_reported_as_a_cut_cable(board, monkeypatch):
     def broken(*_):
         raise TypeError("a defect")
 
@@ -384,7 +384,7 @@ def started(board, out, *words):
 
 @needs_pty
 def test_command_finds_every_cycle_and_ends_when_the_cable_is_cut(board):
-    """Then it is connected again, and a new log begins."""
+    """After the cable is connected again a new log begins."""
     command = started(board, "a.csv")
     board.send(FRAMES[0][300:])
     for frame in FRAMES:
@@ -447,7 +447,7 @@ def test_log_that_is_there_is_kept(board):
 
 
 def test_cycles_are_in_the_log_within_20_ms_of_their_last_byte(board):
-    """In the median of 100 at 20 per second, measured inside; and the duration ends it."""
+    """The median latency of 100 cycles at 20 per second, as measured by the command."""
     paced(board, 100, 20.0, before=0.3)
     tally = run_live(
         board.port, Console(file=StringIO()), prominence=0.05, out=Path("a.csv"), duration=6.0
@@ -461,7 +461,7 @@ def test_cycles_are_in_the_log_within_20_ms_of_their_last_byte(board):
 
 @needs_pty
 def test_slow_processing_drops_whole_cycles_and_counts_each(board, monkeypatch):
-    """What is left is the last cycle, and none is unaccounted for."""
+    """The last cycle is processed, and all others are processed or counted as dropped."""
     update = Tracker.update
 
     def slow(self, *words):
@@ -521,7 +521,7 @@ def test_terminal_shows_a_panel_with_the_trace(board):
 
 
 @needs_pty
-def test_silent_and_foreign_lines_are_told(board):
+def test_silent_and_foreign_lines_are_reported(board):
     text = StringIO()
     threading.Timer(0.2, board.send, [b"\x55" * 3000]).start()
     tally = run_live(board.port, Console(file=text), duration=0.6)
@@ -552,12 +552,12 @@ def test_wrong_words_are_refused(words, part):
 
 
 @pytest.mark.parametrize("module", ["serial", "cobs"])
-def test_missing_library_is_named_with_its_cure(monkeypatch, module):
+def test_missing_library_is_named_with_its_install_command(monkeypatch, module):
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(ConfigError, match=r"pip install 'acoustube\[serial\]'"):
         run_live("x", Console(quiet=True))
 
 
 def test_trace_is_forty_decibels_high():
-    """Full, 20 dB down in the middle, 40 dB down empty, and silence."""
+    """Levels of 0, -20 and -40 dB fill the bar, half of it and none of it; silence fills none."""
     assert trace(np.array([1.0, 0.1, 0.01, 0.0, np.nan]), width=5) == "█▄   "

@@ -85,12 +85,12 @@ def test_contacts_are_logged_and_shown_while_the_board_sends(folder, cycles, tmp
     with (tmp_path / "c.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     late = [row for row in rows if int(row["cycle"]) >= UNTOUCHED + 14]
-    # All of the last ten cycles; fewer on a machine that has no time for them.
+    # All of the last ten cycles; fewer where the machine is too busy.
     assert len(late) + tally.n_skipped >= 10
     for row in late:
         place, depth = pressed(int(row["cycle"]) - UNTOUCHED)
-        # 8 bits, which hardly tell half wavelengths (4 mm) apart, and a gain known to 5 %. Where
-        # the machine stalls, cycles are left out and others timed late: two half wavelengths.
+        # 8 bits hardly resolve half wavelengths (4 mm), and the gain is known to 5 %. Where the
+        # machine stalls, cycles are left out and others timed late: two half wavelengths.
         near = 0.5 if tally.n_skipped == 0 else 1.0
         assert float(row["distance_cm"]) == pytest.approx(100 * place, abs=near), tally.n_skipped
         assert float(row["depth_mm"]) == pytest.approx(1e3 * depth, rel=0.06)
@@ -101,7 +101,7 @@ def test_contacts_are_logged_and_shown_while_the_board_sends(folder, cycles, tmp
 
 @pytest.mark.slow
 def test_contact_on_a_sleeve_is_followed(folder, tmp_path):
-    """An echo of two to four counts: two half wavelengths of place, and a tenth of the depth."""
+    """The echo has two to four counts: two half wavelengths in position, a tenth of the depth."""
     path = tmp_path / "sleeve.toml"
     path.write_text(SENSOR.replace("200\n", "250\n") + WRAPPED)
     follower = Follower(Contacts(folder=folder / "lib", sensor=path, rest=0.5), 80e3, 2000, 20.0)

@@ -1,4 +1,4 @@
-"""Losses at the wall and in the air, against duct acoustics in closed form."""
+"""Losses at the wall and in the air, against closed forms of duct acoustics."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +19,7 @@ from acoustube.waves.scheme.problem import prepare
 from acoustube.waves.scheme.relaxation_fit import half_integral
 
 AIR = Air(sound_speed=343.2, density=1.204, viscosity=1.8133e-5, prandtl=0.70520337)
-"""That of the table below."""
+"""Air of the table below."""
 
 KIRCHHOFF = np.array(
     [
@@ -33,11 +33,11 @@ KIRCHHOFF = np.array(
 )
 """Plane mode in a bore of 3.95 mm radius: Hz, Np/m and m/s of Zwikker and Kosten's solution.
 
-In arithmetic of 40 digits, by other software."""
+Computed with 40 digits by other software."""
 
 
 def test_absorption_is_that_of_the_standard():
-    """ISO 9613-1 at 42 kHz and 20 degC, in dB/m, at four humidities; to the last digit given."""
+    """ISO 9613-1 at 42 kHz and 20 degC, in dB/m, at four humidities; to the last digit."""
     found = [
         8.686 * air_at(20.0, humidity=humidity).absorption(42e3) for humidity in (10, 30, 50, 80)
     ]
@@ -67,7 +67,7 @@ def test_air_outside_the_formulas_is_refused(name, value, allowed):
 
 @pytest.mark.parametrize("band", [(5e3, 60e3), (30e3, 55e3)])
 def test_half_integral_is_fitted_by_positive_relaxations(band):
-    """0.3 % over the band, at frequencies between those of the fit."""
+    """The fit is right to 0.3 % over the band, at frequencies between those of the fit."""
     fit = half_integral(band)
     s = 2j * np.pi * np.geomspace(*band, 777)
     found = (1 / (s[:, None] + fit.rates)) @ fit.weights
@@ -78,7 +78,7 @@ def test_half_integral_is_fitted_by_positive_relaxations(band):
 
 @pytest.mark.parametrize("half", [False, True])
 def test_wetted_area_is_that_of_the_bore_wherever_it_is_spread(half):
-    """Per volume 2 / R, all of it with a normal across the tube."""
+    """The wetted area per volume is 2 / R, with normals across the tube only."""
     cells = cut_cells(straight_tube(5e-3, sections=256), 2 * BORE / 16, half=half)
     relieved = share_small_volumes(cells)
     shares = wetted_area(relieved, cells)[..., 3:8]
@@ -87,15 +87,15 @@ def test_wetted_area_is_that_of_the_bore_wherever_it_is_spread(half):
     assert x + y == pytest.approx(2 / BORE, rel=2e-3)
     assert x == pytest.approx(y, rel=5e-3)
     assert abs(z) < 1e-6 * x
-    # The static limit: no part of the air loses more stiffness than it has.
+    # The static limit: the losses must not reduce the stiffness of the air below zero.
     fit = half_integral((5e3, 60e3))
     at_rest = np.sqrt(AIR.viscous_diffusivity) * np.sum(fit.weights / fit.rates)
     assert shares.sum(axis=0).max() * at_rest < 0.9
 
 
 @pytest.mark.slow
-def test_plane_mode_is_attenuated_and_slowed_as_kirchhoff_says():
-    """16 cells per bore, 24 cm: within 2 % and 0.03 %.
+def test_attenuation_and_speed_of_the_plane_mode_are_kirchhoffs():
+    """At 16 cells per bore, over 24 cm, attenuation is right within 2 % and speed within 0.03 %.
 
     Measured 1.05 % at 42 kHz, and 0.95 % on 32 cells; 0.02 % at 55 kHz, and 0.002 %.
     """
@@ -122,10 +122,10 @@ def test_plane_mode_is_attenuated_and_slowed_as_kirchhoff_says():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("resolution", [16, 32])
-def test_every_mode_is_attenuated_as_its_boundary_layers_say(resolution):
-    """(0,0) within 0.5 %, (1,1) at 42 and 50 kHz within 4 %, on either grid.
+def test_attenuation_of_every_mode_is_that_of_its_boundary_layers(resolution):
+    """(0,0) is right within 0.5 %, (1,1) at 42 and 50 kHz within 4 %, on either grid.
 
-    The pair (1,1) alike within 0.3 %, be it computed by halves or as a whole.
+    The two modes (1,1) agree within 0.3 %, computed by halves or on the whole grid.
     """
     cells = straight_ends_cut(cut_cells(straight_tube(0.02, sections=256), 2 * BORE / resolution))
     frequency = np.array([42e3, 50e3])
@@ -146,10 +146,10 @@ def test_every_mode_is_attenuated_as_its_boundary_layers_say(resolution):
 
 
 @pytest.mark.slow
-def test_waves_in_a_straight_tube_go_as_their_closed_form_says():
-    """Nothing comes back, and all arrives: lossy S of no press at all is the identity.
+def test_straight_tube_with_losses_has_an_identity_scattering_matrix():
+    """The lossy S of an undeformed tube is the identity: full transmission, no reflection.
 
-    The plane mode within 0.3 %; (1,1) and (2,1) within 3 % down to 1.5 kHz over their cut-ons.
+    The plane mode within 0.3 %; (1,1) and (2,1) within 3 % down to 1.5 kHz above their cut-ons.
     """
     cells = cut_cells(straight_tube(0.03, sections=256), 2 * BORE / 12)
     found = scatter(cells, air_at(20.0), np.arange(10e3, 56e3, 1e3), reference=(0.015, 0.015))
@@ -163,10 +163,10 @@ def test_waves_in_a_straight_tube_go_as_their_closed_form_says():
 @pytest.mark.slow
 @pytest.mark.parametrize("resolution", [12, pytest.param(18, marks=pytest.mark.long)])
 def test_absorbing_ends_swallow_modes_where_losses_fade_out(resolution):
-    """Plane mode under -60 dB, (1,1) under -50 dB at 42 kHz, on either grid.
+    """Reflections are below -60 dB for the plane mode, -50 dB for (1,1) at 42 kHz, on either grid.
 
-    By difference to a longer tube, whose own end answers too late; seen 2 cm before the end, the
-    path there and back, 1 dB, included.
+    They are differences to a longer tube, whose own end answers too late, 2 cm before the end; the
+    path there and back, 1 dB, is included.
     """
     pulse = Pulse(frequency=42e3, cycles=11)
     step = 0.5 * 2 * BORE / resolution / AIR.sound_speed
@@ -186,9 +186,9 @@ def test_absorbing_ends_swallow_modes_where_losses_fade_out(resolution):
 
 @pytest.mark.slow
 def test_energy_never_grows_over_many_steps_with_losses_and_a_pinch():
-    """100 000 steps of float32 from noise in a closed, pinched tube: every 5000 there is less.
+    """The energy of noise in a closed, pinched tube falls every 5000 of 100 000 steps in float32.
 
-    What remains is the constant pressure, which nothing takes away.
+    The mean pressure, which nothing dissipates, is subtracted.
     """
     cells = cut_cells(pinched_tube(0.02, depth=0.8), 2 * BORE / 10, half=True)
     setup = prepare(
@@ -211,11 +211,11 @@ def test_energy_never_grows_over_many_steps_with_losses_and_a_pinch():
 
 
 def test_pressure_dies_out_in_a_slit_of_a_few_layers():
-    """60 um high, 2 mm wide and long, rigid at all sides; half of it in each of two rows of cells.
+    """Noise decays in a rigid slit 60 um high, 2 mm wide and long, which lies in two rows of cells.
 
-    Drag of first order, its area spread beyond the slit, would take away 1.8 times the static
-    mobility, and what is left of noise after 0.2 ms would grow by a factor of 2.2 each 0.1 ms, to
-    6e-3.
+    With drag of first order, whose area is spread beyond the slit, 1.8 times the static mobility
+    would be subtracted; the noise left after 0.2 ms would then grow by a factor of 2.2 each 0.1 ms,
+    to 6e-3.
     """
     slit = trimesh.creation.box([2e-3, 60e-6, 2e-3])
     slit.apply_translation([0.0, 0.0, 1e-3])
@@ -232,7 +232,7 @@ def test_pressure_dies_out_in_a_slit_of_a_few_layers():
 
 
 def cramer(celsius, water, pressure=101325.0, carbon=314e-6):
-    """Speed of sound in m/s; the coefficients of Cramer (1993), table III."""
+    """Return the speed of sound in m/s, with the coefficients of Cramer (1993), table III."""
     t = celsius
     return (
         331.5024 + 0.603055 * t - 0.000528 * t**2

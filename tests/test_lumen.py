@@ -1,4 +1,4 @@
-"""The lumen of pressed and unpressed tubes, against closed forms and the independent solution."""
+"""The lumen of pressed and undeformed tubes, against closed forms and the independent solution."""
 
 import dataclasses
 from pathlib import Path
@@ -35,7 +35,7 @@ AREA_AT_4_MM = np.loadtxt(
 
 
 def fabricated(displacement=0.0):
-    """Return an indentation of one increment with the displacements given instead of computed."""
+    """Return an indentation of one increment with given instead of computed displacements."""
     mesh = sweep(TUBE, pressed_reach(TUBE.outer_diameter, ROD))
     with jax.enable_x64(True):
         untouched = first_touch(
@@ -58,7 +58,7 @@ def fabricated(displacement=0.0):
 
 
 def polygon(rings):
-    """Return the area over R^2 of the polygon with the rings' directions in a circle."""
+    """Return the area over R^2 of a polygon in a circle with corners in the rings' directions."""
     angle = np.unwrap(np.arctan2(rings[0, :, 0], -rings[0, :, 1]))
     return np.sum(np.sin(np.diff(angle, append=angle[0] + 2 * np.pi))) / 2
 
@@ -72,9 +72,9 @@ def section(rings, z):
 
 
 def test_undeformed_lumen_is_a_polygon_along_its_whole_length():
-    """216 facets, up to half longer than the average: 2.5e-4 under the circle.
+    """216 facets, up to half longer than the average: 2.5e-4 below the circle's area.
 
-    The elements' parabolas are a^4 / 30 = 1e-5 below it: volume, areas and widths are those of the
+    The elements' parabolas are a^4 / 30 = 1e-5 below it. Volume, areas and widths are those of the
     polygon within 1.5e-5, and never above.
     """
     straight = lumen(fabricated(), 0.15)
@@ -89,10 +89,10 @@ def test_undeformed_lumen_is_a_polygon_along_its_whole_length():
 
 
 def test_outer_rings_are_a_wall_thickness_away():
-    """Ring by ring and point by point at the same z.
+    """Ring by ring and point by point, at the same z.
 
-    The elements at the top and bottom are half longer than the average; the sag of their parabolas,
-    a^4 / 30 of the radius, differs by 1.5e-4 of the wall thickness between the walls.
+    The elements at the top and bottom are half longer than the average; the sagitta of their
+    parabolas, a^4 / 30 of the radius, differs by 1.5e-4 of the wall thickness between the walls.
     """
     straight = lumen(fabricated(), 0.15)
     gap = straight.outer_rings - straight.rings
@@ -116,7 +116,7 @@ def test_surface_is_closed_and_faces_outwards_from_end_to_end(pressed_lumen):
 
 
 def test_rings_start_at_the_bottom_and_top_is_in_the_middle(pressed_lumen):
-    """Anticlockwise seen from the far end (from +z): x > 0 comes first."""
+    """Points run anticlockwise as seen from the far end (from +z): x > 0 comes first."""
     rings = pressed_lumen.rings
     middle = rings.shape[1] // 2
     assert np.abs(rings[:, [0, middle], 0]).max() < 1e-15
@@ -126,7 +126,7 @@ def test_rings_start_at_the_bottom_and_top_is_in_the_middle(pressed_lumen):
 
 
 def test_lumen_is_the_same_on_both_sides_of_the_press(pressed_lumen):
-    """Mirror symmetry about `position`, where it is narrowest; round-off of shifted z."""
+    """The lumen is symmetric about `position`, where it is narrowest, to round-off of shifted z."""
     offset = np.linspace(0, 50e-3, 201)
     ahead, behind = (section(pressed_lumen.rings, 0.15 + s * offset) for s in (1, -1))
     assert ahead.area == pytest.approx(behind.area, rel=1e-9)
@@ -135,7 +135,7 @@ def test_lumen_is_the_same_on_both_sides_of_the_press(pressed_lumen):
 
 
 def test_section_at_the_press_is_that_of_calculix(pressed_lumen):
-    """At z = position a straightened tube is cut square, as the reference is: 0.1 mm2, 0.02 mm."""
+    """At z = position the straightened tube is cut square, as the reference: 0.1 mm2, 0.02 mm."""
     found = section(pressed_lumen.rings, [0.15])
     expected = reference()[2]
     assert 1e6 * found.area[0] == pytest.approx(expected["lumen_area_mm2"], abs=0.1)
@@ -144,10 +144,10 @@ def test_section_at_the_press_is_that_of_calculix(pressed_lumen):
 
 
 def test_area_far_from_the_press_is_the_bores_although_the_tube_tilts(pressed_lumen):
-    """Within 0.05 % of pi R^2 beyond 1.5 rods' diameters, of which the facets take 0.018 %.
+    """Beyond 1.5 rod diameters the area is pi R^2 within 0.05 %, of which the facets take 0.018 %.
 
-    Measured 1e-5 under the polygon: the parabolas. Without straightening, slices z = const of the
-    tilted tube are 6e-4 larger than that, so that 1e-4 tells.
+    Measured 1e-5 below the polygon, by the parabolas. Without straightening, slices z = const of
+    the tilted tube would be 6e-4 larger, which a tolerance of 1e-4 detects.
     """
     distance = np.linspace(1.5 * ROD, pressed_reach(Tube().outer_diameter, ROD) - 1e-3, 40)
     found = section(pressed_lumen.rings, 0.15 + distance)
@@ -160,9 +160,9 @@ def test_area_far_from_the_press_is_the_bores_although_the_tube_tilts(pressed_lu
 @pytest.mark.slow
 @pytest.mark.xdist_group("calculix")  # whose press it is
 def test_area_along_a_deep_press_is_that_of_calculix():
-    """4 mm deep, slices z = const of the tilted wall, from the press to 54 mm beside it: 0.1 mm2.
+    """Slices z = const of the tilted wall at 4 mm, to 54 mm from the press: 0.1 mm2.
 
-    Measured 0.015 mm2 at most; the file says where its numbers are from.
+    Measured 0.015 mm2 at most; the source of the reference is stated in its file.
     """
     found = pressed(*DEEP)
     (increment,) = np.flatnonzero(found.depth == 4e-3)
@@ -181,7 +181,7 @@ def cone(n):
 
 
 def test_profile_of_a_cone_of_ellipses_converges_at_second_order():
-    """The area is pi a b; the polygons' error falls by 16 when there are four times the facets.
+    """The area tends to pi a b: its error falls by 16 with four times the facets.
 
     Height and width are those of the axes, where the rings have points; between two rings they are
     exact because the axes are linear in z.
@@ -198,7 +198,7 @@ def test_profile_of_a_cone_of_ellipses_converges_at_second_order():
 
 
 def test_half_of_a_symmetric_surface_measures_the_whole():
-    """The triangles with x >= 0 only; the closing line x = 0 adds nothing. Planes in any order."""
+    """Only triangles with x >= 0; the closing line x = 0 adds no area. Planes in any order."""
     rings, cuts = cone(64), np.array([0.7, 0.1, 0.33])
     half = rings[:, :33].copy()
     half[:, [0, -1], 0] = 0.0  # sin(pi) is not
@@ -220,7 +220,7 @@ def test_planes_beside_the_surface_measure_nothing():
 
 
 def test_ring_faces_close_a_prism_of_known_volume():
-    """A unit square prism of height 2: 12 + 8 triangles in three rings, volume 2, outwards."""
+    """A unit square prism of height 2 in three rings: 12 + 8 triangles, volume 2, outwards."""
     square = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]]) / np.sqrt(2)
     points = np.array([[x, y, z] for z in (0.0, 0.5, 2.0) for x, y in square])
     faces = ring_faces(3, 4)
@@ -232,10 +232,10 @@ def test_ring_faces_close_a_prism_of_known_volume():
 
 
 def test_straightening_maps_an_arc_back_to_the_straight_tube():
-    """A line bent up with radius R_c: (y, z) = (y0, 0) + R_c (1 - cos, sin) - offset inwards.
+    """An arc (y, z) = (y0, 0) + R_c (1 - cos, sin), less an offset inwards.
 
-    h = 0.1 mm and R_c = 1 m: the chords lose h^2 / 24 = 4e-10 of the length and the spline's
-    free end is wrong by h^2 / (9 R_c) = 1e-9 in its last interval; 1e-9 m is allowed before that.
+    h = 0.1 mm and R_c = 1 m: the chords lose h^2 / 24 = 4e-10 of the length and the spline's free
+    end is wrong by h^2 / (9 R_c) = 1e-9 in its last interval; 1e-9 m is allowed before that.
     """
     bend, bottom, length = 1.0, -5.55e-3, 60e-3
     angle = np.linspace(0, length / bend, 601)
@@ -251,7 +251,7 @@ def test_straightening_maps_an_arc_back_to_the_straight_tube():
 
 
 def test_sharp_bend_is_straightened_up_to_near_its_centre():
-    """Radius 12 mm, points up to 9 mm inwards, as deep presses of a free tube bend it.
+    """The radius is 12 mm, with points up to 9 mm inwards, as in deep presses of a free tube.
 
     h = 24 um: h^3 / R_c^2 and h^2 / 24 of the length are under 1e-8 m; 1e-8 is allowed.
     """
@@ -266,7 +266,7 @@ def test_sharp_bend_is_straightened_up_to_near_its_centre():
 
 
 def test_tube_that_has_sunk_as_a_whole_is_the_straight_tube():
-    """On a soft layer a press takes the tube down; sound meets no step where the mesh ends."""
+    """On a soft layer a press lowers the tube; there is no step where the mesh ends."""
     mesh = fabricated().mesh
     found = lumen(fabricated(np.tile([0.0, -4e-3, 0.0], (len(mesh.points), 1))), 0.2)
     for rings in (found.rings, found.outer_rings):
@@ -282,18 +282,18 @@ def test_straightening_leaves_a_straight_tube_alone():
 
 @pytest.mark.parametrize("position", [0.05, 0.36])
 def test_press_too_near_an_end_is_refused(position):
-    """Four outer diameters and half a rod: 56.9 mm are needed on each side."""
+    """56.9 mm are needed on each side: four outer diameters and half a rod."""
     error = refused(lambda: lumen(fabricated(), position), setting="position", value=position)
     assert "0.057 m" in error.advice
     lumen(fabricated(), 0.06)
 
 
 def test_closed_lumen_is_a_closed_surface_that_does_not_cross_itself():
-    """Walls 0.015 mm apart feel each other; the air between them is still there."""
+    """Walls 0.015 mm apart are in contact by the barrier; the gap between them remains."""
     mesh = fabricated().mesh
     _, y, z = mesh.points.T
     share = np.exp(-((z / 5e-3) ** 2)) * (1 + y / np.hypot(*mesh.points[:, :2].T)) / 2
-    down = share[:, None] * [0.0, -1.0, 0.0]  # from nothing at the bottom to all at the top
+    down = share[:, None] * [0.0, -1.0, 0.0]  # from zero at the bottom to the full one at the top
     found = lumen(fabricated(7.885e-3 * down), 0.2)
     assert found.surface.is_watertight
     (height,) = profile(
@@ -304,7 +304,7 @@ def test_closed_lumen_is_a_closed_surface_that_does_not_cross_itself():
 
 @pytest.mark.parametrize("position", [0.1, 0.23])
 def test_whole_tube_of_a_pressed_part_is_the_lumen(position):
-    """The same rings where it is pressed, and straight tube of the same length around them."""
+    """The rings of the pressed part are the same, between straight tube of the same length."""
     found = pressed(1, 2)
     whole, built = whole_tube(pressed_part(found), position, 0.4), lumen(found, position)
     assert np.ptp(whole.rings[..., 2]) == pytest.approx(0.4, abs=1e-12)
@@ -314,7 +314,7 @@ def test_whole_tube_of_a_pressed_part_is_the_lumen(position):
 
 
 def test_each_increment_has_its_own_lumen():
-    """The first increment is the undeformed tube, the 1 mm one the reference's."""
+    """The first increment is the undeformed tube, the one of 1 mm has the reference's height."""
     found = pressed(1, 2)
     (one,) = np.flatnonzero(found.depth == 1e-3)
     heights = [section(lumen(found, 0.2, i).rings, [0.2]).height[0] for i in (0, one)]
@@ -323,7 +323,7 @@ def test_each_increment_has_its_own_lumen():
 
 
 def test_pressing_takes_air_out_of_the_lumen(pressed_lumen):
-    """Volume of the surface = integral of the profile; the trapezoids' error, 2e-6."""
+    """The surface's volume is the integral of the profile, but for the trapezoids' error, 2e-6."""
     z = np.linspace(0, Tube().length * (1 - 1e-12), 8001)
     taken = POLYGON * RADIUS**2 * Tube().length - pressed_lumen.surface.volume
     missing = np.trapezoid(POLYGON * RADIUS**2 - section(pressed_lumen.rings, z).area, z)
@@ -333,7 +333,7 @@ def test_pressing_takes_air_out_of_the_lumen(pressed_lumen):
 
 @pytest.mark.parametrize("support", ["held", "free"])
 def test_nearest_allowed_place_still_fits_the_tube(support):
-    """The settings' bound leaves half an outer diameter; a press moves its end by under 0.2 mm."""
+    """The settings leave half an outer diameter; a press shifts its end by less than 0.2 mm."""
     tube = Tube(length=0.16)
     pressed = indent(
         tube,

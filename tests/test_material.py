@@ -31,7 +31,7 @@ def test_determinant_is_the_determinant():
 
 
 def test_neo_hookean_stress_is_the_documented_one():
-    """P = mu J^(-2/3) (F - I1/3 F^-T) + K (J - 1) J F^-T, against the energy's gradient."""
+    """P = mu J^(-2/3) (F - I1/3 F^-T) + K (J - 1) J F^-T equals the gradient of the energy."""
     ratio, inverse = np.linalg.det(STRETCH), np.linalg.inv(STRETCH).T
     isochoric = ratio ** (-2 / 3) * (STRETCH - np.sum(STRETCH**2) / 3 * inverse)
     exact = MU * isochoric + K * (ratio - 1) * ratio * inverse
@@ -40,7 +40,7 @@ def test_neo_hookean_stress_is_the_documented_one():
 
 
 def test_neo_hookean_tangent_is_the_documented_one():
-    """Applied to a random dF, against JAX's derivative of its derivative, to round-off."""
+    """The tangent applied to a random dF equals JAX's second derivative, to round-off."""
     change = np.random.default_rng(0).normal(size=(3, 3))
     f, ratio, inverse = STRETCH, np.linalg.det(STRETCH), np.linalg.inv(STRETCH).T
     first, t, turned = np.sum(f * f), np.sum(inverse * change), inverse @ change.T @ inverse
@@ -82,7 +82,7 @@ ENERGIES = {
 
 
 @pytest.mark.parametrize("name", ENERGIES)
-def test_energy_sees_neither_rotation_nor_volume(name):
+def test_energy_is_invariant_under_rotation_and_change_of_volume(name):
     """W(Q F R) = W(F) = W(a F), to round-off: isotropic, objective and isochoric."""
     energy = ENERGIES[name]
     turned = rotation() @ STRETCH @ rotation(0.4)
@@ -104,12 +104,12 @@ def test_small_shear_modulus_is_the_documented_one(name, modulus):
 @pytest.mark.parametrize("stretch", [0.5, 0.8, 1.5, 2.5])
 @pytest.mark.parametrize(("c1", "c2"), [(C1, C2), (MU / 2, 0.0)])
 def test_stretched_bar_bears_mooney_and_rivlins_stress(stretch, c1, c2):
-    """Nominal 2 (l - 1/l^2) (c1 + c2/l), true 2 (l^2 - 1/l) (c1 + c2/l), incompressible.
+    """Nominal 2 (l - 1/l^2) (c1 + c2/l), true 2 (l^2 - 1/l) (c1 + c2/l), for an incompressible bar.
 
-    One element of a cube, drawn out, free sideways. Derivation: with the side stretches l^(-1/2)
-    W = c1 (l^2 + 2/l - 3) + c2 (2 l + 1/l^2 - 3) and the nominal stress is dW/dl. At a bulk modulus
-    of 1e4 shear moduli the volume changes by the stress over 3 K, some 1e-4, and the nominal stress
-    by a few times that: 5e-4 is allowed.
+    One cubic element is stretched with free sides. Derivation: with the lateral stretches l^(-1/2)
+    W = c1 (l^2 + 2/l - 3) + c2 (2 l + 1/l^2 - 3), and the nominal stress is dW/dl. At a bulk
+    modulus of 1e4 shear moduli the volume changes by the stress over 3 K, some 1e-4, and the
+    nominal stress by a few times that: 5e-4 is allowed.
     """
     edge, modulus = 2e-3, 2 * (c1 + c2)
     mesh = block(*[np.array([0.0, edge])] * 3)
@@ -117,7 +117,7 @@ def test_stretched_bar_bears_mooney_and_rivlins_stress(stretch, c1, c2):
     fixed = mesh.points == 0.0
     fixed[:, 2] |= mesh.points[:, 2] == edge
     true = 2 * (stretch**2 - 1 / stretch) * (c1 + c2 / stretch)
-    # The first guess needs the pressure that keeps the sides free, or the bar is unstable.
+    # The initial state needs the pressure that leaves the sides free; else the bar is unstable.
     side = np.sqrt((1 + true / (3e4 * modulus)) / stretch)
     start = mesh.points * (np.array([side, side, stretch]) - 1)
     result = minimise(bare_model(mesh, material, fixed), start, (), 1e-9)
@@ -131,7 +131,7 @@ def test_stretched_bar_bears_mooney_and_rivlins_stress(stretch, c1, c2):
 
 
 def test_a_new_value_of_a_constant_compiles_nothing():
-    """The constants are leaves: one trace serves any of them."""
+    """The constants are leaves of the tree: one trace serves for any values."""
     traces = []
 
     @jax.jit

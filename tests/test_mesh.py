@@ -1,4 +1,4 @@
-"""The swept mesh of the tube, in all its parts, against the geometry that it stands for."""
+"""The swept mesh of the tube, whole or reduced by symmetry, against its geometry."""
 
 import numpy as np
 import pytest
@@ -35,10 +35,10 @@ def volumes(mesh):
 
 
 def interpolated_sector(half_angle):
-    """Return the area of a sector with a parabolic arc, over the circle's.
+    """Return the area of a sector with a parabolic arc, over that of the circle.
 
-    The arc through (cos a, -sin a), (1, 0), (cos a, sin a) is x = 1 - (1 - cos a) s^2,
-    y = s sin a; 1/2 int (x dy - y dx) = sin a (4 - cos a) / 3, which is a (1 - a^4/30 + ...).
+    The arc through (cos a, -sin a), (1, 0), (cos a, sin a) is x = 1 - (1 - cos a) s^2, y = s sin a;
+    1/2 int (x dy - y dx) = sin a (4 - cos a) / 3, which is a (1 - a^4/30 + ...).
     """
     return np.sin(half_angle) * (4 - np.cos(half_angle)) / (3 * half_angle)
 
@@ -49,9 +49,9 @@ def interpolated_sector(half_angle):
 @pytest.mark.parametrize("around", [3, 12])
 @pytest.mark.parametrize("part", PARTS)
 def test_volume_of_every_part_is_its_share_of_the_tube_to_the_interpolation_error(part, around):
-    """The quadrature is exact for these maps, so that what is missing is the parabolas' share.
+    """The quadrature is exact for these maps: the volume lacks only the error of the parabolas.
 
-    With an even division a^4 / 30, a = pi / (2 around): 2.5e-3 for 3 elements, 9.8e-6 for 12.
+    With an even division it is a^4 / 30, a = pi / (2 around): 2.5e-3 for 3 elements, 9.8e-6 for 12.
     """
     size = MeshSize(through_wall=2, around=around, along=3, fold=0.0, touch=0.0)
     mesh = sweep(TUBE, REACH, size, halved=PARTS[part])
@@ -63,7 +63,7 @@ def test_volume_of_every_part_is_its_share_of_the_tube_to_the_interpolation_erro
 
 
 def test_parts_sum_to_the_same_whole_with_elements_that_shrink_towards_the_folds():
-    """Round-off; the largest element is 1.4 times the average."""
+    """The sums agree to round-off; the largest element is 1.4 times the average."""
     sums = []
     for part in PARTS.values():
         mesh = sweep(TUBE, REACH, SIZE, halved=part)
@@ -73,7 +73,7 @@ def test_parts_sum_to_the_same_whole_with_elements_that_shrink_towards_the_folds
 
 
 def test_jacobians_are_positive_out_to_the_corners(mesh):
-    """At the quadrature points and at all nodes; their signs are the elements' handedness."""
+    """At quadrature points and all nodes; the sign is the elements' orientation."""
     assert volumes(mesh).min() > 0
     _, slopes = HEX20.shape_functions(HEX20.nodes)
     jacobian = np.einsum("eni,qnj->eqij", mesh.points[mesh.elements], slopes)
@@ -81,7 +81,7 @@ def test_jacobians_are_positive_out_to_the_corners(mesh):
 
 
 def test_nodes_lie_on_circles_through_the_wall(mesh):
-    """Evenly spaced radii, within round-off, and nothing below 0 in x where x >= 0 is meshed."""
+    """Radii are evenly spaced to round-off; where only x >= 0 is meshed no node has x below 0."""
     _, radius = angle_and_radius(mesh.points)
     layer = 4 * (radius - INNER) / (OUTER - INNER)
     assert np.abs(layer - np.round(layer)).max() < 1e-12
@@ -92,10 +92,11 @@ def test_nodes_lie_on_circles_through_the_wall(mesh):
 
 
 def test_nodes_lie_exactly_on_the_planes_of_symmetry(mesh):
-    """Exact zeros, for constraints are found by them: bottom and top line, and the middle.
+    """Coordinates there are exactly zero, as constraints are found by them.
 
-    On every line along the tube of nodes, and at the middle on every ring: as many as anywhere
-    else. x = 0 takes 2 n_through + 1 nodes at the bottom and as many at the top of a full station.
+    This holds on every line of nodes along the tube at the bottom and top, and for the middle on
+    every ring: there are as many nodes as elsewhere. x = 0 has 2 n_through + 1 nodes at the bottom
+    and as many at the top of a full station.
     """
     x, y, z = mesh.points.T
     near = np.abs(x) < 1e-9
@@ -111,7 +112,7 @@ def test_nodes_lie_exactly_on_the_planes_of_symmetry(mesh):
 
 
 def test_elements_around_shrink_at_the_sides_and_ends_by_the_shares_asked_for():
-    """The angles there are 1 - fold and 1 - touch of an even division's, to the element's width."""
+    """To 1 - fold and 1 - touch times those of an even division, within an element's width."""
     size = MeshSize(through_wall=1, around=45, along=1, fold=0.6, touch=0.3)
     mesh = sweep(TUBE, REACH, size)
     angle, _ = angle_and_radius(mesh.points[mesh.elements])
@@ -156,7 +157,10 @@ def stations(mesh):
 
 
 def test_stations_run_from_the_press_and_are_graded_towards_it():
-    """As sinh(g i / n) / sinh(g); edges are rounded to 1e-12 of the reach, to be found twice."""
+    """Stations are at sinh(g i / n) / sinh(g), rounded to 1e-12 of the reach.
+
+    The rounding makes equal stations equal.
+    """
     z = stations(sweep(TUBE, REACH, SIZE))
     assert len(z) == 2 * SIZE.along + 1
     assert z[0] == 0.0
@@ -174,10 +178,10 @@ def test_a_tube_meshed_to_both_sides_has_the_stations_of_its_half_twice():
 
 
 def test_every_press_has_a_station_and_the_fine_elements_there():
-    """Two presses off the middle: the element beside each is as fine as for one, to 10 %.
+    """With two presses off the middle the element beside each is as fine as for one, to 10 %.
 
-    The last element of each stretch is cut to fit, which scales the others of it: with n elements
-    by up to the growth of one, (1 + g / n) / 2; 16 elements and 3.0 leave 9 %.
+    The last element of each stretch is cut to fit, which scales the others of the stretch: with n
+    elements by up to the growth of one, (1 + g / n) / 2; 16 elements and 3.0 leave 9 %.
     """
     places = [-12e-3, 20e-3]
     z = stations(sweep(TUBE, REACH, USUAL_MESH, halved=(True, False), presses=places))[::2]
@@ -197,7 +201,7 @@ def test_every_press_has_a_station_and_the_fine_elements_there():
 
 
 def test_presses_in_mirror_image_make_one_set_of_stations_in_the_half():
-    """-p and p fall on the same place of a part that is halved along the tube."""
+    """Positions -p and p coincide in a part that is halved along the tube."""
     both = stations(sweep(TUBE, REACH, SIZE, presses=[-20e-3, 20e-3]))
     one = stations(sweep(TUBE, REACH, SIZE, presses=[20e-3]))
     assert np.array_equal(both, one)
@@ -208,7 +212,7 @@ def test_presses_in_mirror_image_make_one_set_of_stations_in_the_half():
 
 
 def test_nodes_are_numbered_along_the_tube(mesh):
-    """So that an element spans three stations of numbers only: the bandwidth."""
+    """The numbers of an element span three stations only, which limits the bandwidth."""
     assert np.all(np.diff(mesh.points[:, 2]) >= 0)
     _, count = np.unique(mesh.points[:, 2], return_counts=True)
     span = mesh.elements.max(axis=1) - mesh.elements.min(axis=1)
@@ -218,7 +222,7 @@ def test_nodes_are_numbered_along_the_tube(mesh):
 def test_elements_have_the_local_order_of_the_shape_functions(mesh):
     """Local coordinates run through the wall, around, along; every node belongs to an element.
 
-    Along each of them the corners' radius, angle or z grows, and mid-nodes lie between.
+    Along each of them radius, angle or z of the corners increases, and midside nodes lie between.
     """
     corners = mesh.points[mesh.elements]
     angle, radius = angle_and_radius(corners)
@@ -237,10 +241,10 @@ def test_elements_have_the_local_order_of_the_shape_functions(mesh):
 
 @pytest.mark.parametrize("which", ["inner", "outer"])
 def test_faces_cover_the_wall(mesh, which):
-    """On their radius within round-off; the area is that of the cylinder.
+    """Nodes are at the wall's radius to round-off; the area is that of the cylinder.
 
-    A parabola's length is a (1 + O(a^4)), with a factor under 1/10. The largest half angle, at
-    the bottom, is 1.6 pi / 24: 2e-4 is ample.
+    A parabola's length is a (1 + O(a^4)), with a factor under 1/10. The largest half angle, at the
+    bottom, is 1.6 pi / 24: 2e-4 is sufficient.
     """
     faces = mesh.inner_faces if which == "inner" else mesh.outer_faces
     radius = INNER if which == "inner" else OUTER
@@ -261,7 +265,7 @@ def test_faces_follow_the_elements_in_order(mesh):
 
 
 def test_bottom_is_the_lowest_line_of_the_outer_wall(mesh):
-    """All nodes of it, at x = 0 and y = -R, and one for each station."""
+    """All nodes at x = 0 and y = -R, one per station."""
     points = mesh.points[mesh.bottom]
     assert np.all(points[:, 0] == 0)
     assert points[:, 1] == pytest.approx(-OUTER, rel=1e-15)
@@ -269,9 +273,9 @@ def test_bottom_is_the_lowest_line_of_the_outer_wall(mesh):
 
 
 def test_place_moves_the_nodes_to_another_size(mesh):
-    """The coordinates of the sweep do not depend on the tube's size: same as a mesh of that size.
+    """The coordinates of the sweep give the mesh of a tube of another size, to round-off.
 
-    Round-off; the presses stand at z = 0, whose station is the same in any reach.
+    The presses are at z = 0, whose station is the same for any reach.
     """
     other = Tube(inner_diameter=5e-3, wall_thickness=1e-3)
     anew = sweep(other, 40e-3, SIZE, halved=mesh.halved)

@@ -22,7 +22,7 @@ RADIUS = 3.95e-3
 
 
 def test_air_at_20_degrees_has_tabulated_properties():
-    """ISO 9613-1 rounds to 343.2 m/s; 1.204 kg/m3 is the standard's density."""
+    """ISO 9613-1 rounds the speed to 343.2 m/s; 1.204 kg/m3 is the standard's density."""
     air = air_at(20.0)
     assert air.sound_speed == pytest.approx(343.2, abs=0.05)
     assert air.density == pytest.approx(1.204, abs=5e-4)
@@ -46,7 +46,7 @@ def test_zeros_match_abramowitz_and_stegun(mode, zero):
 
 
 def test_modes_are_complete_and_sorted():
-    """All j'mn below 10 (Abramowitz and Stegun): 0 and fourteen more."""
+    """All zeros j'mn below 10 (Abramowitz and Stegun): 0 and fourteen more."""
     modes = modes_below(cut_on_frequency(0, 0, RADIUS, 343.2) + 10 * 343.2 / (2 * np.pi * RADIUS),
                         RADIUS, 343.2)  # fmt: skip
     expected = {(0, 0), (1, 1), (2, 1), (0, 1), (3, 1), (4, 1), (1, 2), (5, 1), (2, 2), (0, 2),
@@ -58,7 +58,7 @@ def test_modes_are_complete_and_sorted():
 
 
 def test_cut_on_of_21_lies_in_the_carrier_band():
-    """(2,1) cuts on 0.6 % above 42 kHz in this bore: the case that the caller must warn about."""
+    """(2,1) cuts on 0.6 % above 42 kHz in this bore: commands must warn of this case."""
     critical = cut_ons_in_band(Pulse(frequency=42e3).band(), RADIUS, 343.2)
     assert [(mode.m, mode.n) for mode in critical] == [(2, 1)]
     assert critical[0].cut_on == pytest.approx(42.24e3, rel=1e-3)
@@ -67,8 +67,8 @@ def test_cut_on_of_21_lies_in_the_carrier_band():
 TABLE_AIR = Air(sound_speed=343.2, density=1.204, viscosity=1.8133e-5, prandtl=0.70520337)
 
 
-def test_plane_mode_travels_as_zwikker_and_kosten_say():
-    """Attenuation in Np/m and phase speed in m/s, from arithmetic with 40 digits."""
+def test_wavenumber_of_the_plane_mode_is_zwikker_and_kostens():
+    """Attenuation in Np/m and phase speed in m/s, from values computed with 40 digits."""
     frequency = np.array([1e3, 10e3, 28e3])
     found = axial_wavenumber(0, 0, frequency, RADIUS, TABLE_AIR)
     assert -found.imag == pytest.approx([0.239945, 0.752134, 1.25651], rel=1e-4)
@@ -78,7 +78,7 @@ def test_plane_mode_travels_as_zwikker_and_kosten_say():
 
 
 def test_wall_and_air_attenuate_a_mode():
-    """(1,1) by its wall 2.266 Np/m to first order; the air adds to the plane mode its own share."""
+    """The wall attenuates (1,1) by 2.266 Np/m to first order; the air adds its absorption."""
     assert attenuation(1, 1, 42e3, RADIUS, TABLE_AIR) == pytest.approx(2.266, abs=3e-3)
     moist = air_at(20.0)
     dry = replace(moist, classical_absorption=0.0, relaxations=())
@@ -90,7 +90,7 @@ def test_wall_and_air_attenuate_a_mode():
 
 
 def test_attenuation_below_cut_on_is_evanescent_decay():
-    """(0,1) at 42 kHz decays over 1.7 mm, 1 / sqrt((j'/R)^2 - k^2)."""
+    """(0,1) at 42 kHz decays over 1 / sqrt((j'/R)^2 - k^2) = 1.7 mm."""
     assert 1e3 / attenuation(0, 1, 42e3, RADIUS, air_at(20.0)) == pytest.approx(1.7, abs=0.1)
     evanescent = axial_wavenumber(0, 1, 42e3, RADIUS, TABLE_AIR, lossy=False)
     assert evanescent.real == 0.0
@@ -103,7 +103,7 @@ def test_mode_without_nodal_circle_count_is_refused():
 
 
 def test_pulse_band_is_that_of_its_spectrum():
-    """The Gaussian's band against the sampled pulse's spectrum; the cut at 3 sigma costs 2 %."""
+    """The Gaussian's band is compared with the spectrum of samples; the cut at 3 sigma adds 2 %."""
     pulse = Pulse(frequency=42e3)
     time = np.arange(0.0, 20 * pulse.duration, 1e-7)
     spectrum = np.abs(np.fft.rfft(pulse(time)))
@@ -124,7 +124,10 @@ def test_pulse_starts_and_ends_in_silence():
 
 @pytest.mark.parametrize("half", [False, True])
 def test_section_of_a_round_bore_cuts_on_at_bessel_zeros(half):
-    """At 32 cells per bore: 0.2 %, the cut cells' error. The half keeps one of each pair."""
+    """Cut-ons at 32 cells per bore: 0.2 %, the cut cells' error.
+
+    The half has one mode of each pair.
+    """
     h = 2 * BORE / 32
     cells = cut_cells(straight_tube(4 * h, sections=512), h, half=half)
     found = section_cut_ons(cells, 2, 343.2, n_modes=3 if half else 5)
@@ -135,7 +138,7 @@ def test_section_of_a_round_bore_cuts_on_at_bessel_zeros(half):
 
 
 def test_sampled_pulse_is_the_pulse_that_was_sampled():
-    """At 1 MHz, 24 samples per period: a cubic spline within 5e-4 of the peak, zero outside."""
+    """24 samples per period at 1 MHz: a cubic spline within 5e-4 of the peak, zero outside."""
     pulse = Pulse(frequency=42e3)
     n = int(pulse.duration * 1e6) + 1
     sampled = SampledPulse(pressure=pulse(np.arange(n) / 1e6), rate=1e6)

@@ -9,7 +9,7 @@ from acoustube.indentation.negative_curvature import SMALLEST_CURVATURE, curved_
 
 SIZE = 40
 CURVATURES = (-0.3, 0.05, 0.004)
-"""Of the indefinite matrix in three directions; one, beside the convex matrix, in all others."""
+"""Curvatures of the indefinite matrix relative to the convex one in three directions; else 1."""
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def pair():
 
 @pytest.fixture(autouse=True)
 def to_the_end(monkeypatch):
-    """Go on until the Lanczos vectors span all in which the matrices differ."""
+    """Continue until the Lanczos vectors span the directions in which the matrices differ."""
     monkeypatch.setattr(negative_curvature, "ENOUGH", 1e-9)
 
 
@@ -37,7 +37,7 @@ def solver(convex):
 
 
 def test_step_has_the_absolute_curvatures(pair):
-    """In four Lanczos steps exactly: the matrices differ in three directions."""
+    """Four Lanczos steps are exact, as the matrices differ in three directions."""
     convex, vectors, matrix = pair
     gradient = np.random.default_rng(4).normal(size=SIZE)
     found = curved_step(sparse.csc_array(np.tril(matrix)), solver(convex), gradient)

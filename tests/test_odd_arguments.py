@@ -1,6 +1,7 @@
-"""Public functions refuse what makes no sense: in a ValueError that names the argument.
+"""Public functions refuse unusable arguments, by a ValueError that names the argument.
 
-The functions and their good arguments are those of the fuzzer, which draws odder ones at random.
+The functions and their valid arguments are those of the fuzzer, which draws stranger ones at
+random.
 """
 
 import sys
@@ -28,7 +29,7 @@ ODD = st.one_of(NUMBERS, KINDS, st.lists(NUMBERS, max_size=4))
 
 
 def arrays_like(good):
-    """Arrays with another type, shape or content than a good one."""
+    """Arrays with another type, shape or content than a valid one."""
     plain = np.asarray(good, float)
     odd = [
         plain[..., :0], plain[..., :1], plain[np.newaxis], plain.T, plain * 1e308, plain * np.nan,

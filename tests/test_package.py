@@ -1,4 +1,4 @@
-"""The package's own names: exported, loaded when used, and nothing heavy before."""
+"""The package's own names: exported, loaded lazily, and forwarded from former places."""
 
 import importlib
 import re
@@ -65,10 +65,10 @@ def test_readme_example_prints_what_it_says(capsys):
 
 @pytest.mark.slow
 def test_readme_press_runs(capsys):
-    """At a tenth of its depths, which takes less time: two forces, and a force per wall in N/m.
+    """The README's press at a tenth of its depths: two forces, and force per wall in N/m.
 
     Central differences between walls of 1.5 and 1.7 mm give 260 N/m on the coarse mesh, whose
-    forces are 2 to 6 % too high. The forces are as measured.
+    forces are 2 to 6 % too high. The expected forces are measured ones.
     """
     readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)

@@ -1,4 +1,4 @@
-"""Padding of arrays to few lengths and to blocks, by which all meshes share compiled code."""
+"""Padding of arrays to few lengths and to blocks, so that all meshes share compiled code."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from acoustube.tube import Tube
 
 @pytest.mark.parametrize("count", [1, 63, 64, 65, 520, 1000, 1025, 20_000])
 def test_counts_grow_to_few_values_by_little(count):
-    """By less than 64, or above 512 by an eighth; and a padded count stays."""
+    """Counts grow by less than 64, or above 512 by an eighth; a padded count is unchanged."""
     larger = padded_count(count)
     assert count <= larger < count + max(64, count / 8 + 1)
     assert padded_count(larger) == larger
@@ -34,7 +34,7 @@ def test_blocks_hold_every_row_once_and_repeat_the_last(count):
 
 
 def test_meshes_of_other_blocks_are_pressed_by_the_same_compiled_code(compilations):
-    """Of 64 and of 66 elements: of one block and of two; their points are padded to one count."""
+    """Meshes of 64 and 66 elements: one and two blocks; their points are padded to one count."""
     tool = Indenter(diameter=21e-3)
     for around, along in ((8, 8), (11, 6)):
         compilations.clear()

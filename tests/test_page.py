@@ -1,4 +1,4 @@
-"""Pages: what they show is what was computed, and they show it without a network."""
+"""Pages: they show what was computed, and need no network."""
 
 import base64
 import json
@@ -78,7 +78,7 @@ def heard(tmp_path_factory):
 
 
 def shown(page):
-    """Return what a page holds, and its arrays."""
+    """Return the content of a page, and its arrays."""
     text = page.read_text(encoding="utf-8")
     found = json.loads(re.search(r'type="application/json">(.*?)</script>', text, re.S)[1])
     arrays = [
@@ -89,7 +89,7 @@ def shown(page):
 
 
 def pinched_rings(n_rings=161, n_around=240):
-    """Return the walls of a tube whose upper half is pressed in along a bell curve, by 4 mm."""
+    """Return rings of a tube whose upper half is pressed in by 4 mm along a bell curve."""
     angle = np.linspace(0, 2 * np.pi, n_around, endpoint=False)
     z = 0.06 * np.linspace(-1, 1, n_rings) ** 3
     walls = []
@@ -102,7 +102,7 @@ def pinched_rings(n_rings=161, n_around=240):
 
 
 def test_thinned_walls_are_within_20_um_of_all_rings():
-    """The bound that the module states; linear between the rings that are kept."""
+    """The bound that the module states; between the kept rings walls are linear."""
     inner, outer = pinched_rings()
     kept, kept_outer = decimate_rings(inner, outer)
     assert kept.shape == kept_outer.shape == (RINGS, 120, 3)
@@ -121,7 +121,7 @@ def test_thinning_keeps_what_is_few():
 
 
 def test_cut_tube_of_rings_has_the_areas_of_half_a_cylinder():
-    """Half the walls, two strips and two half rings; 120 facets are 1.2e-4 short of a circle."""
+    """Half the walls, two strips and two half rings; 120 facets have 1.2e-4 less area."""
     reach = 0.03
     shape = shapes.round_tube(BORE, WALL, reach)
     corners = {name: shape.points[faces] for name, faces in shape.faces.items()}
@@ -138,10 +138,10 @@ def test_cut_tube_of_rings_has_the_areas_of_half_a_cylinder():
 
 @pytest.mark.parametrize("halved", [(True, True), (False, True), (True, False), (False, False)])
 def test_surfaces_of_a_mesh_are_those_of_the_tube(halved):
-    """Half the tube, whatever part of it is modelled; quadratic edges are within 1e-3 of circles.
+    """Half the tube from any modelled part of it; quadratic edges are within 1e-3 of circles.
 
-    Turned the same way everywhere: the flux of (x, y, z) through the closed half is three times
-    its volume.
+    The faces are oriented alike: the flux of (x, y, z) through the closed half is three times its
+    volume.
     """
     tube = Tube(inner_diameter=BORE, wall_thickness=WALL)
     size, reach = MeshSize(through_wall=1, around=12, along=5), 0.03
@@ -165,7 +165,7 @@ def test_surfaces_of_a_mesh_are_those_of_the_tube(halved):
 
 
 def test_tools_touch_a_straight_tube_at_its_top():
-    """A rod and a punch lie on the top line; a sphere beside it as two circles touch."""
+    """A rod and a punch touch the top line; a sphere beside it touches as two circles do."""
     radius = BORE / 2 + WALL
     angle, z = np.meshgrid(np.linspace(0, np.pi, 2001), np.linspace(-0.02, 0.02, 41))
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=-1).reshape(-1, 3)
@@ -183,7 +183,7 @@ def test_tools_touch_a_straight_tube_at_its_top():
 @pytest.mark.parametrize("x", [0.0, 2e-3, -2e-3, 7e-3])
 @pytest.mark.parametrize(("shape", "diameter"), [("punch", 10e-3), ("sphere", 8e-3)])
 def test_round_tools_are_drawn_where_x_is_positive(shape, diameter, x):
-    """The outline of what is left of the circle, and the lower side of the tool itself.
+    """Outline of the part of the circle at x > 0, and lower side of the tool.
 
     Facets of 5 degrees are within 1e-3 of a circle.
     """
@@ -216,7 +216,7 @@ def test_rod_is_cut_at_x_0_whatever_its_turn(diameter, yaw):
 
 
 def test_drawn_samples_lose_no_extreme():
-    """A single sample among 60 000 is drawn, and so is each that must be."""
+    """A single extreme among 60 000 samples is drawn, and so are all required samples."""
     values = np.random.default_rng(3).normal(size=60_000)
     values[31_415], values[27_182] = 40.0, -40.0
     which = content.drawn(values, [12_345])
@@ -226,7 +226,7 @@ def test_drawn_samples_lose_no_extreme():
     stretches = np.linspace(0, 60_000, 40).astype(int)
     for a, b in pairwise(stretches):
         some = values[which[(which >= a) & (which < b)]]
-        # A stretch of this test cuts through one that is drawn at either end.
+        # The intervals of this test cut through drawn intervals at either end.
         assert some.max() >= np.sort(values[a:b])[-20]
 
 
@@ -237,7 +237,7 @@ def test_few_samples_are_drawn_as_they_are():
 @pytest.mark.parametrize("detected", [False, True])
 @pytest.mark.parametrize("late", [0.004, 0.02])
 def test_height_of_a_signal_is_that_of_all_after_the_send_pulse(detected, late):
-    """The higher of pressure and envelope, detected or not, of a send pulse that is 5 high."""
+    """The larger of pressure and envelope, detected or not, for a send pulse 5 high."""
     time = np.linspace(0, 2e-3, 9001)
     pressure, envelope = np.zeros((2, time.size))
     pressure[100], envelope[100] = -5.0, 1.0
@@ -250,7 +250,7 @@ def test_height_of_a_signal_is_that_of_all_after_the_send_pulse(detected, late):
     assert signal.height == pytest.approx(max(0.01, late), rel=1e-12)
 
 
-def test_arrays_are_kept_once_and_come_back():
+def test_equal_arrays_are_stored_once_and_read_back():
     arrays, values = Arrays(), np.linspace(-3.0, 7.0, 1001)
     numbers = [arrays.coarse(values), arrays.real(values), arrays.whole([0, 70_000])]
     assert [arrays.coarse(values.copy()), arrays.real(values)] == numbers[:2]
@@ -261,9 +261,9 @@ def test_arrays_are_kept_once_and_come_back():
 
 @slow
 def test_sweep_files_hold_the_walls_of_the_press(sweep):
-    """The section that they have at the press is the lumen's that the mesh has, within 0.3 %.
+    """The area of the stored section at the press is within 0.3 % of that of the lumen on the mesh.
 
-    Of 120 facets, where the lumen is measured on finer ones.
+    The stored section has 120 facets, the lumen is measured on finer ones.
     """
     pressed = 0
     for path in sorted(sweep.glob("cases-*.nc")):
@@ -297,7 +297,7 @@ def test_damaged_walls_are_noticed(sweep, tmp_path):
 
 @slow
 def test_page_holds_the_values_of_the_sweep(sweep, page):
-    """Numbers to six digits, curves in single precision; the shape to 1/32767 of its length."""
+    """Numbers have six digits, curves single precision, and shapes 1/32767 of their length."""
     found, arrays = shown(page)
     assert [group["tool"] for group in found["groups"]] == ["rod, 10 mm", "rod, 25 mm"]
     cases, echoes = acoustube.open_dataset(sweep).load(), 0
@@ -365,7 +365,7 @@ def test_page_of_a_press_holds_all_its_depths(press):
         for state, row in zip(group.states, range(2), strict=True):
             profile = data["lumen_area_profile"].values[row]
             np.testing.assert_array_equal(state.along.area, profile)
-            # The tool's lowest point is as deep as it was told to go; contact yields 6 um.
+            # The tool's lowest point is at the given depth; the contact yields by 6 um.
             assert BORE / 2 + WALL - state.tool_height == pytest.approx(state.depth, abs=2e-5)
     assert all(state.signal is None and state.spectrum is None for state in group.states)
     assert "no sound" in read(press).missing["signal"]
@@ -379,7 +379,7 @@ def test_page_with_one_depth_names_no_slider(press):
 
 
 @slow
-def test_page_of_a_run_hears_its_last_depth(heard):
+def test_page_of_a_run_holds_the_signal_of_its_last_depth(heard):
     shown = read(heard)
     last = shown.groups[0].states[-1]
     with xr.open_dataset(heard / "run.nc", engine="h5netcdf") as data:
@@ -388,7 +388,7 @@ def test_page_of_a_run_hears_its_last_depth(heard):
     np.testing.assert_array_equal(last.signal.envelope, case["envelope"].values)
     np.testing.assert_array_equal(last.along.area, case["area_profile"].values)
     assert all(state.signal is None for state in shown.groups[0].states[:-1])
-    # Rings of the last depth and elements of the one before: one tube, the next in its path.
+    # The last depth has rings, those before have elements: their depths are in one sequence.
     depths = [state.depth for state in shown.groups[0].states]
     heights = [state.tool_height for state in shown.groups[0].states]
     np.testing.assert_allclose(BORE / 2 + WALL - np.array(heights), depths, atol=2e-5)
@@ -396,20 +396,20 @@ def test_page_of_a_run_hears_its_last_depth(heard):
 
 
 @slow
-def test_page_is_one_file_that_asks_for_nothing(page):
-    """No address stands in it but in the library, and the page itself forbids all requests."""
+def test_page_is_one_file_without_network_requests(page):
+    """The page holds no address outside its library, and its policy forbids all requests."""
     text = page.read_text(encoding="utf-8")
     own = text.replace(write.plotly_js().replace("</script", "<\\/script"), "")
     assert len(text) - len(own) > 1e6
     assert not re.search(r"https?:|//[a-z]+\.|@import|url\(|<link|<img|src=", own)
     assert "default-src 'none'" in own
     assert page.stat().st_size < MOST_BYTES
-    # Beside the library each press of these takes 0.1 MB: 48 would take under 6 MB.
+    # Besides the library each of these presses takes 0.1 MB: 48 would take under 6 MB.
     assert len(own) / 6 * 48 < MOST_BYTES - (len(text) - len(own))
 
 
 @slow
-def test_sweep_of_earlier_files_says_what_is_missing(sweep, tmp_path):
+def test_page_of_earlier_files_states_what_is_missing(sweep, tmp_path):
     old = tmp_path / "old"
     old.mkdir()
     for path in sorted(sweep.glob("cases-*.nc")):
@@ -499,7 +499,7 @@ def browser():
 
 @pytest.fixture(scope="module")
 def shared_tab(browser, page):
-    """Open the page once; return the tab, what it has asked for, and what has gone wrong."""
+    """Open the page once; return the tab, its requests, and its errors."""
     asked, wrong = [], []
 
     def route(route):
@@ -523,7 +523,7 @@ def shared_tab(browser, page):
 def opened(shared_tab):
     """The open page at its first tool and second depth.
 
-    At the end nothing is asked for or has gone wrong.
+    After the test there must be no requests and no errors.
     """
     tab, asked, wrong = shared_tab
     if tab.viewport_size != DESKTOP:
@@ -541,7 +541,7 @@ def opened(shared_tab):
 
 
 def curves(tab):
-    """Return what is drawn now: the curve of each chart, as plotly.js has it."""
+    """Return the curve of each chart as plotly.js draws it now."""
     return tab.evaluate(
         "() => Object.fromEntries(Object.entries({tube: [0, 'z'], section: [1, 'y'], "
         "area: [1, 'y'], spectrum: [1, 'y'], signal: [0, 'y']}).map(([name, [trace, axis]]) => "
@@ -551,7 +551,7 @@ def curves(tab):
 
 @slow
 def test_slider_moves_every_picture(opened, page):
-    """By the keys; each curve is then the array of that depth."""
+    """The slider is moved by keys; then each curve is the array of that depth."""
     found, arrays = shown(page)
     opened.locator("#depth").focus()
     opened.keyboard.press("Home")
@@ -603,7 +603,7 @@ def test_no_button_of_a_chart_leaves_the_page(opened):
 
 @slow
 def test_signal_is_not_clipped_after_the_send_pulse(opened, page):
-    """At no depth; the send pulse has passed the probe within 5 cm of it."""
+    """At all depths; the send pulse has passed the probe within 5 cm of it."""
     found, arrays = shown(page)
     opened.locator("#depth").focus()
     opened.keyboard.press("Home")
@@ -645,7 +645,7 @@ def test_indenter_is_chosen_and_the_depth_stays(opened):
 
 @slow
 def test_controls_are_reached_by_tab_and_show_the_focus(opened):
-    opened.reload()  # the keys go on from where the focus was
+    opened.reload()  # else the keys continue from the last focus
     opened.wait_for_function("() => document.body.dataset.drawn")
     reached = []
     for _ in range(4):
@@ -680,7 +680,7 @@ def test_page_fits_phone_tablet_and_desktop(opened, size):
 
 
 def test_chart_fills_its_figure_where_a_run_has_no_reflection(browser, press, tmp_path):
-    """The figure of the area takes the whole row then, before the chart is drawn in it."""
+    """The figure of the area then takes the whole row, before the chart is drawn in it."""
     page = page_of(press, tmp_path / "press.html")
     tab = browser.new_page(viewport=DESKTOP)
     tab.goto(page.as_uri())

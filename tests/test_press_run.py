@@ -1,4 +1,4 @@
-"""The command ``acoustube indent``: what it writes, remembers, and keeps when it cannot go on."""
+"""The command ``acoustube indent``: its files, its cache, and its results when a press fails."""
 
 import dataclasses
 from io import StringIO
@@ -42,7 +42,7 @@ def dataset(finished):
 
 
 def test_coarse_mesh_is_stiffer_by_what_is_documented(monkeypatch, tmp_path):
-    """1 x 12 x 10 elements are 3 to 4 % too stiff (docs/findings.md); and are cached apart."""
+    """1 x 12 x 10 elements are 3 to 4 % too stiff (docs/findings.md); and cached apart."""
     monkeypatch.setenv("ACOUSTUBE_CACHE", str(tmp_path))
     force = {}
     for mesh in ("coarse", "usual"):
@@ -76,7 +76,7 @@ def test_depths_are_equally_spaced_and_met(dataset):
 
 
 def test_force_and_section_are_those_of_the_independent_solution(dataset):
-    """CalculiX at 0.25 and 0.5 mm: 0.11873 and 0.25197 N, good to 1 %; 0.01 mm and 0.1 mm2.
+    """CalculiX at 0.25 and 0.5 mm: 0.11873 and 0.25197 N, to 1 %; 0.01 mm and 0.1 mm2.
 
     At 0.25 mm the contact is narrower than an element: measured 1.4 %, and 0.5 % at 0.5 mm.
     """
@@ -88,7 +88,7 @@ def test_force_and_section_are_those_of_the_independent_solution(dataset):
 
 
 def test_profile_is_narrowest_at_the_press_and_round_far_from_it(dataset):
-    """At 50 mm the bore's 49.017 mm2 within 0.02."""
+    """At 50 mm the area is that of the bore, 49.017 mm2, within 0.02."""
     z, area = dataset["z"].values, dataset["lumen_area_profile"].values
     assert area.shape == (2, z.size)
     assert z[z.size // 2] == 0.0
@@ -107,13 +107,13 @@ def test_every_variable_has_a_unit_and_a_name(dataset):
 
 
 def test_work_of_the_press_is_in_the_wall(dataset):
-    """The force's work from 0.25 to 0.5 mm, by the trapezoids of a nearly straight line: 3 %."""
+    """The force's work from 0.25 to 0.5 mm, by the trapezoidal rule, is the energy to 3 %."""
     energy, force = dataset["elastic_energy"].values, dataset["contact_force"].values
     assert np.diff(energy)[0] == pytest.approx(0.25e-3 * force.mean(), rel=0.03)
 
 
 def test_meshes_for_paraview_have_the_elements_volume(finished, dataset):
-    """VTK's own volume of the quadratic cells is the quarter's; the last file has the last row.
+    """VTK's volume of the quadratic cells is that of the quarter; the last file has the last row.
 
     VTK splits a quadratic cell into linear ones: 1 % of the curved wall.
     """
@@ -138,10 +138,10 @@ def test_second_run_is_recalled_and_the_same(finished, tmp_path):
         assert np.array_equal(first["node_displacement"], second["node_displacement"])
 
 
-def test_cached_press_that_was_cut_short_is_computed_again_and_said(tmp_path, monkeypatch):
-    """The note stands on the screen and in the file; the numbers are those of the first time.
+def test_truncated_cache_entry_is_computed_again_and_reported(tmp_path, monkeypatch):
+    """The note is printed and stored in the file; the results equal those of the first run.
 
-    The third time nothing is computed.
+    The third run computes nothing.
     """
     computed = []
 
@@ -173,8 +173,8 @@ def test_cached_press_that_was_cut_short_is_computed_again_and_said(tmp_path, mo
     assert np.array_equal(found[1], found[2])
 
 
-def test_press_that_stops_keeps_what_converged_and_says_so(tmp_path, monkeypatch):
-    """Newton's method fails beyond 0.35 mm: increments are halved towards it, and then given up."""
+def test_press_that_stops_keeps_and_reports_converged_depths(tmp_path, monkeypatch):
+    """Newton's method fails beyond 0.35 mm: increments are halved down to the smallest."""
     minimise = load_path.minimise
 
     def blocked(model, start, bodies, tolerance):
@@ -199,7 +199,7 @@ def test_press_that_stops_keeps_what_converged_and_says_so(tmp_path, monkeypatch
 
 
 def test_triangles_of_the_lumen_are_oriented_alike():
-    """Each inner edge is passed once each way."""
+    """Each inner edge occurs once in each direction."""
     found = indent(load_tube(), depth=5e-5, mesh=COARSE)
     _, faces = triangulated(found.mesh)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])

@@ -1,4 +1,4 @@
-"""Candidates for presses: the correlation behind a press, and the picking of maxima."""
+"""Candidates for presses: the correlation behind a press, and the selection of maxima."""
 
 import dataclasses
 
@@ -15,7 +15,7 @@ from acoustube.ranging import Rangefinder
 FIRST, SECOND = (0.4, 2.5e-3), (0.53, 4.1e-3)
 """Places and depths of two presses in m."""
 COUPLING = 6.0
-"""Factor by which plane and higher modes couple more than in other tests."""
+"""Factor by which the coupling of plane and higher modes is stronger than in other tests."""
 
 
 @pytest.fixture(scope="module")
@@ -33,9 +33,12 @@ def baseband(model, *presses):
     return model.baseband((0,) * len(presses), places, depths, np.zeros((1, 6)))[0][0]
 
 
-def test_press_behind_another_is_the_best_candidate_and_gains_no_more_than_it_sounds(model):
-    """The decrease of a squared residual cannot exceed it: energies of templates, which beat behind
-    a press, must be right. With energies every 15 cm it is 1.05."""
+def test_press_behind_another_is_the_best_candidate_with_a_right_gain(model):
+    """The decrease of the squared residual by a candidate cannot exceed the residual.
+
+    This holds if the energies of the templates, which beat behind a press, are right. With energies
+    every 15 cm the ratio would be 1.05.
+    """
     rest = baseband(model, FIRST, SECOND) - baseband(model, FIRST)
     whiten = weights(model, 1e-4 * np.abs(rest).max() ** 2, 0.0, None)
     fronts = front_of(model, (0,), np.array([FIRST[0]]), np.array([FIRST[1]]), np.zeros(6))
@@ -52,7 +55,7 @@ def test_leading_edge_is_that_of_the_first_echo_and_not_of_its_ringing_before():
     level = np.full(80, 0.8)
     assert leading_edge(level, step) is None
     level[30:36] = 300.0
-    level[26:30] = 8.0  # over the noise, and a small part of what follows
+    level[26:30] = 8.0  # above the noise, and small beside the echo that follows
     level[55:60] = 3000.0
     assert leading_edge(level, step) in (28, 29, 30)
 

@@ -28,7 +28,7 @@ def spectra(recording, frequency):
 
 @pytest.fixture(scope="module")
 def launched():
-    """(1,1) sent into a straight tube; what planes, modes and points hear of it."""
+    """(1,1) sent into a straight tube, as recorded by plane, modal and point probes."""
     probes = (
         0.02, ModalProbe(0.0, "11c"), ModalProbe(0.02, "11c"), ModalProbe(0.06, "11c"),
         ModalProbe(0.02, "21c"), PointProbe(0.02, 1e-4, 0.0), PointProbe(0.02, 1e-4, 2.5e-3),
@@ -41,9 +41,10 @@ def launched():
 
 
 def test_launched_mode_has_the_amplitude_of_the_pulse(launched):
-    """Led back from 2 cm to z = 0 by its wavenumber, from 38 to 46 kHz.
+    """At z = 0, from the signal at 2 cm and the wavenumber, from 38 to 46 kHz.
 
-    The amplitude within 1e-3; the phase within the grid's, whose cut-on is 0.3 % off.
+    The amplitude is right within 1e-3, the phase within the grid's error, whose cut-on is 0.3 %
+    off.
     """
     frequency = np.linspace(38e3, 46e3, 9)
     kz = axial_wavenumber(1, 1, frequency, BORE, AIR, lossy=False)
@@ -54,7 +55,7 @@ def test_launched_mode_has_the_amplitude_of_the_pulse(launched):
 
 
 def test_launched_mode_travels_by_its_own_wavenumber(launched):
-    """Over 4 cm from 38 to 46 kHz; 12 cells place the cut-on 0.5 % off, which is 0.03 rad here."""
+    """Over 4 cm from 38 to 46 kHz; on 12 cells the cut-on is 0.5 % off, which is 0.03 rad here."""
     frequency = np.linspace(38e3, 46e3, 9)
     heard = spectra(launched, frequency)
     kz = axial_wavenumber(1, 1, frequency, BORE, AIR, lossy=False)
@@ -64,14 +65,14 @@ def test_launched_mode_travels_by_its_own_wavenumber(launched):
     assert np.abs(np.angle(ratio)).max() < 0.1
 
 
-def test_other_modes_hear_nothing_of_it(launched):
-    """Discrete modes of a layer are orthogonal: rounding of float32."""
+def test_probes_of_other_modes_record_nothing(launched):
+    """Discrete modes of a layer are orthogonal, to the rounding of float32."""
     loudest = np.abs(launched.pressure[2]).max()
     for i in (0, 4):
         assert np.abs(launched.pressure[i]).max() < 1e-4 * loudest
 
 
-def test_points_hear_the_shape_of_the_mode(launched):
+def test_point_probes_record_the_shape_of_the_mode(launched):
     """J1 along the diameter, odd about the axis; bilinear on 12 cells, within 3 %."""
     zero = bessel_zero(1, 1)
     norm = np.sqrt(0.5 * (1 - 1 / zero**2)) * jv(1, zero)
@@ -84,8 +85,8 @@ def test_points_hear_the_shape_of_the_mode(launched):
     assert below == pytest.approx(-above, abs=1e-3)
 
 
-def test_mode_below_its_cut_on_stays_where_it_is():
-    """(2,1) driven at 25 kHz: it decays over 1.6 mm."""
+def test_mode_below_its_cut_on_decays_exponentially():
+    """(2,1) driven at 25 kHz decays over 1.6 mm."""
     pulse = Pulse(frequency=25e3, cycles=11)
     recording = propagate(
         CELLS, AIR, pulse, duration=0.7e-3, source_end="absorbing", source_mode="21c",
@@ -93,7 +94,7 @@ def test_mode_below_its_cut_on_stays_where_it_is():
     )  # fmt: skip
     near, far = np.abs(spectra(recording, np.array([25e3])))[:, 0]
     path = recording.probes[1] - recording.probes[0]
-    # Of the grid, whose 12 cells place it 1 % low; the third of those symmetric about x = 0.
+    # The cut-on of the grid, 1 % low on 12 cells; the third of the modes symmetric about x = 0.
     cut_on = section_cut_ons(CELLS, 3, AIR.sound_speed, 3)[2]
     decay = 2 * np.pi * np.sqrt(cut_on**2 - 25e3**2) / AIR.sound_speed
     assert far / near == pytest.approx(np.exp(-decay * path), rel=0.01)

@@ -1,4 +1,4 @@
-"""The commands process and calibrate on files, as a user meets them."""
+"""The commands process and calibrate on files."""
 
 import csv
 import errno
@@ -28,7 +28,7 @@ def rows_of(text):
     return list(csv.DictReader(text.splitlines()))
 
 
-def test_one_row_per_cycle_tells_its_distance():
+def test_one_row_per_cycle_has_its_distance():
     save("a.npz", cycles_at(DISTANCES, noise=0.002))
     result = run_here("process", "a.npz", "--out", "t.csv", "--prominence", "0.05")
     assert result.returncode == 0, result.stderr
@@ -40,7 +40,7 @@ def test_one_row_per_cycle_tells_its_distance():
     ]  # fmt: skip
     assert [int(row["cycle"]) for row in rows] == list(range(7))
     found = np.array([float(row["distance_cm"]) for row in rows])
-    # The board's air is 343.24 m/s fast, that of the cycles 343.2: 0.2 mm at 1.9 m.
+    # The board's temperature gives 343.24 m/s, the cycles have 343.2: 0.2 mm at 1.9 m.
     assert found == pytest.approx(100 * DISTANCES, abs=0.1)
     assert all(row["detected"] == "1" and row["file"] == "a.npz" for row in rows)
     flight = [float(row["time_of_flight_ms"]) for row in rows]
@@ -48,7 +48,7 @@ def test_one_row_per_cycle_tells_its_distance():
 
 
 def test_labels_stand_beside_what_is_found():
-    """The second file has none."""
+    """The second file has no labels."""
     depth = np.where(DISTANCES > 1, 3e-3, np.nan)
     save("a.npz", cycles_at(DISTANCES), true_distance=DISTANCES, depth=depth)
     save("b.npz", cycles_at(DISTANCES))
@@ -61,7 +61,7 @@ def test_labels_stand_beside_what_is_found():
 
 
 def test_table_goes_to_standard_output_and_many_cycles_are_those_of_one():
-    """600 cycles are three pieces on two threads, in their order."""
+    """600 cycles are processed in three pieces on two threads, and written in order."""
     distances = np.linspace(0.3, 1.9, 600)
     cycles = cycles_at(distances, noise=0.002).astype(np.uint16)
     save("a.npz", cycles)
@@ -74,7 +74,7 @@ def test_table_goes_to_standard_output_and_many_cycles_are_those_of_one():
     assert [float(row["amplitude"]) for row in rows] == pytest.approx(alone.amplitude, rel=1e-5)
 
 
-def test_bad_files_are_told_and_the_others_processed():
+def test_bad_files_are_reported_and_the_others_processed():
     Path("runs").mkdir()
     save("runs/a.npz", cycles_at(DISTANCES))
     broken = cycles_at(DISTANCES)
@@ -98,7 +98,7 @@ def test_bad_files_are_told_and_the_others_processed():
 
 
 def test_names_with_brackets_and_cycles_that_begin_elsewhere():
-    """Brackets are no markup; a send pulse cut off is suspected by the height of its echo."""
+    """Brackets are no markup; a missing send pulse is suspected from the height of an echo."""
     save("y[left].npz", cycles_at(DISTANCES, height=0.5)[:, 80:])
     Path("z[").mkdir()
     np.savez(
@@ -134,7 +134,7 @@ def test_calibration_beside_its_recording_is_no_sidecar(tmp_path):
 
 
 def test_record_that_begins_before_its_trigger_keeps_its_time():
-    """As an oscilloscope writes it, 2 ms before: the distances are those of a record from zero."""
+    """A record from 2 ms before the trigger, as of an oscilloscope, gives the same distances."""
     cycles = cycles_at(DISTANCES)
     early = np.concatenate([np.full((7, 400), 2048.0), cycles], axis=1)
     time = (np.arange(4400) - 400) / RATE
@@ -185,7 +185,7 @@ def test_calibration_is_written_and_applied():
     before, after = (
         np.array([float(row["distance_cm"]) for row in rows]) for rows in (plain, calibrated)
     )
-    # What the line's intercept of 3 cm adds is gone, its slope of 0.99 stays.
+    # The line's intercept of 3 cm is corrected, its slope of 0.99 remains.
     assert np.median(before - 99 * PLACES) == pytest.approx(3.0, abs=0.1)
     assert np.median(after - 99 * PLACES) == pytest.approx(0.0, abs=0.1)
     assert Path("p.png").stat().st_size > 10_000
@@ -201,7 +201,7 @@ def test_calibration_is_written_and_applied():
     ],
 )
 def test_full_disk_leaves_nothing_that_blocks_the_repeated_command(words, what, monkeypatch):
-    """It is named with its file; the picture is written after the table, and neither stays."""
+    """The error names the file; the picture is written after the table, and neither remains."""
     before, put = sorted(Path().iterdir()), writing._to_disk
 
     def full(path, content):
@@ -256,7 +256,7 @@ def test_calibrations_that_cannot_be_are_refused():
 
 @pytest.mark.parametrize("names", [["a.npz"], ["b.npz", "a.npz"]])
 def test_recording_that_fails_in_a_later_piece_leaves_no_rows(names, monkeypatch, capsys):
-    """Not even a header where nothing else is processed."""
+    """There is not even a header where no other file is processed."""
     whole, fails = signals.locate, cycles_at(DISTANCES)
     fails[-1] *= 0.5
 
@@ -280,7 +280,7 @@ def test_recording_that_fails_in_a_later_piece_leaves_no_rows(names, monkeypatch
 
 
 def with_lead(cycles, lead, noise=0.0):
-    """The same cycles of a recorder that starts `lead` samples before the send pulse."""
+    """The same cycles from a recorder that starts `lead` samples before the send pulse."""
     random = np.random.default_rng(3)
     quiet = np.median(cycles) + noise * np.ptp(cycles) * random.standard_normal((len(cycles), lead))
     return np.concatenate([quiet, cycles], axis=1)[:, : cycles.shape[1]]
@@ -290,7 +290,7 @@ def with_lead(cycles, lead, noise=0.0):
 @pytest.mark.parametrize("lead", [1, 60, 333, 1000])
 @pytest.mark.parametrize("how", ["given", "auto"])
 def test_send_pulse_is_found_where_the_recorder_started_before_it(lead, noise, how):
-    """Distances to the sample (0.9 mm), and the lead to half a carrier cycle."""
+    """Distances are right to a sample (0.9 mm), and the lead to half a carrier cycle."""
     places = DISTANCES[DISTANCES < 1.2]
     cycles = cycles_at(places, noise=noise)
     save("a.npz", cycles)
@@ -306,7 +306,7 @@ def test_send_pulse_is_found_where_the_recorder_started_before_it(lead, noise, h
     assert float(at) == pytest.approx(1e3 * lead / RATE, abs=0.5e3 / 42e3)
 
 
-def test_distances_are_wrong_without_the_lead_and_the_note_says_what_to_give():
+def test_missing_lead_is_reported_with_the_option_to_give():
     save("b.npz", with_lead(cycles_at(DISTANCES, height=2.0), 1000))
     told = run_here("process", "b.npz", "--prominence", 0.1)
     assert "if the recorder starts before that pulse, give --pulse-at MS" in " ".join(

@@ -1,4 +1,4 @@
-"""Records of a rangefinder: delays, levels and statistics against closed forms."""
+"""Recordings of a simulated rangefinder: delays, levels and statistics against closed forms."""
 
 import json
 from dataclasses import replace
@@ -33,7 +33,7 @@ LINEAR = 0.9 / 2048
 
 
 def partial(reflection, position):
-    """Return a lossless press that reflects a share at all frequencies."""
+    """Return a lossless press with the same reflection at all frequencies."""
     closed = blockage(BAND, position).scattering
     s = np.zeros_like(closed.s)
     s[:, (0, 1), 0, (0, 1), 0] = reflection
@@ -42,7 +42,7 @@ def partial(reflection, position):
 
 
 def echo(presses, rangefinder, **words):
-    """Return what the transducer hears of the tube, without its own drive: (time, voltage)."""
+    """Return the voltage by the echoes of the tube, without the drive itself: (time, voltage)."""
     return response(presses, replace(rangefinder, send=0.0), **words)
 
 
@@ -52,17 +52,18 @@ def spectrum(time, voltage, frequency):
 
 
 def height(voltage):
-    """Return the envelope by the analytic signal."""
+    """Return the envelope, from the analytic signal."""
     return np.abs(hilbert(voltage))
 
 
 @pytest.mark.parametrize("distance", [0.2, 0.75, 1.234])
 @pytest.mark.parametrize("temperature", [5.0, 30.0])
 def test_ideal_echo_has_the_delay_and_loss_of_the_lossy_plane_mode(distance, temperature):
-    """Over the pulse's band the echo is exp(-2j kz l) of the pulse, whose transform is at 20 MHz.
+    """Over the pulse's band the echo's spectrum is exp(-2j kz l) times that of the pulse.
 
-    The response is computed at complex frequencies, but the air's absorption at their real parts:
-    off by 2 * 230/s / omega = 1.7e-3 of 0.15 Np/m, over 2.5 m some 5e-4 rad, or 2 ns.
+    The pulse is transformed from samples at 20 MHz. The response is computed at complex
+    frequencies, but the air's absorption at their real parts: off by 2 * 230/s / omega = 1.7e-3 of
+    0.15 Np/m, over 2.5 m some 5e-4 rad, or 2 ns.
     """
     frequency = np.linspace(38e3, 46e3, 33)
     t, volts = echo([blockage(BAND, distance)], IDEAL, temperature=temperature)
@@ -74,11 +75,11 @@ def test_ideal_echo_has_the_delay_and_loss_of_the_lossy_plane_mode(distance, tem
 
 
 def test_ideal_echo_peaks_where_a_fine_transform_has_it():
-    """The envelope's maximum 0.7 m away and back, beside one at 2 MHz and real frequencies.
+    """The envelope's maximum for 0.7 m is compared with one at 2 MHz and real frequencies.
 
-    A parabola through three samples of 5 us of an envelope with a standard deviation of 44 us errs
-    by 0.1 us, a fiftieth of a sample. The maximum itself comes 0.5 us after the group delay at 42
-    kHz, since the losses tilt the spectrum: a tenth of a sample.
+    A parabola through three samples of 5 us of an envelope with a standard deviation of 44 us has
+    an error of 0.1 us, a fiftieth of a sample. The maximum itself comes 0.5 us after the group
+    delay at 42 kHz, since the losses tilt the spectrum: a tenth of a sample.
     """
     t, volts = echo([blockage(BAND, 0.7)], IDEAL)
     fine = np.arange(80_000) * 5e-7
@@ -96,17 +97,18 @@ def test_ideal_echo_peaks_where_a_fine_transform_has_it():
     assert found - IDEAL.drive.duration / 2 == pytest.approx(group, abs=0.7e-6)
 
 
-def test_face_sends_the_echo_out_again():
-    """A second echo of r times the first one's share: 1 / (1 - r B), but for 1e-4.
+def test_face_reflects_the_echo_repeatedly():
+    """The sum of repeated echoes is 1 / (1 - r B), with the face's reflection r, to 1e-4.
 
-    Half the echoes' path of 0.8 m times the error of the absorption in the test above.
+    The tolerance is the error of the absorption in the test above, over the echoes' path of 0.8 m,
+    halved.
     """
     frequency, face = np.linspace(40e3, 44e3, 9), 0.4 - 0.3j
     words = {"presses": [blockage(BAND, 0.4)]}
     t, once = echo(rangefinder=IDEAL, **words)
     _, often = echo(rangefinder=replace(IDEAL, face_reflection=face), **words)
     kz = axial_wavenumber(0, 0, frequency, BORE, AIR)
-    # The face of a real signal is conjugate at negative frequencies, as the transform assumes.
+    # For a real signal the face's reflection is conjugate at negative frequencies, as assumed here.
     wanted = 1 / (1 - face * np.exp(-0.8j * kz))
     assert spectrum(t, often, frequency) / spectrum(t, once, frequency) == pytest.approx(
         wanted, rel=1e-4
@@ -114,7 +116,7 @@ def test_face_sends_the_echo_out_again():
 
 
 def test_far_end_answers_through_the_tube():
-    """An untouched tube of 1 m whose end reflects 0.5: half of a closure's echo, to rounding."""
+    """An end that reflects 0.5 at 1 m gives half of the echo of a closure, to rounding."""
     _, end = echo([], replace(IDEAL, far_reflection=0.5), length=1.0)
     _, closed = echo([blockage(BAND, 1.0)], IDEAL, length=1.1)
     assert end == pytest.approx(0.5 * closed, abs=1e-12)
@@ -123,8 +125,8 @@ def test_far_end_answers_through_the_tube():
 def test_resonator_passes_a_band_of_f0_over_q_and_rings_with_its_time_constant():
     """Half the power at f0 (sqrt(1 + 1/4Q^2) +- 1/2Q); the record decays as exp(-pi f0 t / Q).
 
-    The closed form is exact. The decay is fitted between 0.5 and 1.2 ms: the ring has fallen by 57
-    dB there, and what the filter spreads over the record is 60 dB below: 0.1 %.
+    The closed form is exact. The decay is fitted between 0.5 and 1.2 ms: the ring-down has fallen
+    by 57 dB there, and the filter's spread over the record is 60 dB below: 0.1 %.
     """
     r = Rangefinder(quality_factor=14.0, gain=0.0, quantised=False, **QUIET)
     edges = 42e3 * (np.sqrt(1 + 1 / 784) + np.array([-1, 1]) / 28)
@@ -136,9 +138,10 @@ def test_resonator_passes_a_band_of_f0_over_q_and_rings_with_its_time_constant()
 
 
 def test_echo_passes_the_resonator_twice_and_the_own_drive_once():
-    """Ratios to the flat sensor are H^2 and H.
+    """The ratios to a flat sensor are H^2 for the echo and H for the drive.
 
-    To rounding, were it not for the filter's answer that precedes the record's 1 ms of lead: 3e-6.
+    To rounding, except for the part of the filter's response before the record's 1 ms of lead:
+    3e-6.
     """
     frequency = np.linspace(36e3, 48e3, 25)
     flat, resonant = (replace(IDEAL, quality_factor=q, lead=1e-3) for q in (0.0, 14.0))
@@ -154,14 +157,14 @@ def test_echo_passes_the_resonator_twice_and_the_own_drive_once():
 
 
 def peaks(presses, rangefinder):
-    """Return the times of the envelope's peaks, ten times as prominent as the noise."""
+    """Return the times of the envelope's peaks, of a prominence of ten times the noise."""
     ds = record(presses, rangefinder)
     envelope = signals.envelope(ds.signal.values[0] - 2048.0, 200e3)
     return signals.find_echoes(ds.time.values, envelope, start=6e-4, prominence=10.0).times
 
 
 def found_at(distance, rangefinder, reflection=0.2):
-    """Return whether a press makes a peak near its time that the untouched tube does not have."""
+    """Return whether a press adds a peak near its time to those of the untouched tube."""
     press = [partial(reflection, distance)]
     time, alone = echo(press, rangefinder)
     due = time[np.argmax(height(alone))]
@@ -171,19 +174,20 @@ def found_at(distance, rangefinder, reflection=0.2):
 
 
 def test_ring_down_hides_echoes_from_the_first_15_cm():
-    """Of a press that reflects a fifth; prominences of 10 counts are over 10 times the noise."""
+    """Of a press that reflects a fifth; a prominence of 10 counts is over 10 times the noise."""
     r = Rangefinder()
     assert [found_at(d, r) for d in (0.08, 0.10, 0.12, 0.14, 0.15)] == [False] * 5
     assert [found_at(d, r) for d in (0.2, 0.25, 0.3)] == [True] * 3
-    # What hides them is the ring-down.
+    # Without the ring-down they are detected.
     assert all(found_at(d, replace(r, send=0.9)) for d in (0.12, 0.14))
 
 
 def test_calibration_has_the_published_asymptotes():
-    """The default gain's reason: an arctan through closures from 0.2 to 2 m, envelopes by the send.
+    """The reason of the default gain: an arctangent through closures as published.
 
-    Published, as asymptotes of the tanh with the same parameters: 0.635 and 0.104. The fit depends
-    on the clutter by some hundredths, and the paper's own scatter about it is 0.025.
+    Closures from 0.2 to 2 m, envelopes relative to the send pulse. Published, as asymptotes of the
+    tanh with the same parameters: 0.635 and 0.104. The fit depends on the clutter by some
+    hundredths, and the scatter about it in the paper is 0.025.
     """
     distances = np.arange(0.2, 2.01, 0.05)
     heights = []
@@ -204,10 +208,10 @@ def test_calibration_has_the_published_asymptotes():
 
 
 def test_noise_has_its_level_and_the_counts_their_steps():
-    """Standard deviation and mean of 64 000 samples, at five standard errors.
+    """Standard deviation and mean of 64 000 samples are right within five standard errors.
 
-    Noise of 5 counts: the steps add 1/12, as their error is uniform and independent when the noise
-    is wide against them. The offset is 2000.3 counts.
+    The noise is 5 counts. Rounding adds a variance of 1/12, as its error is uniform and independent
+    when the noise is wide against the steps. The offset is 2000.3 counts.
     """
     r = Rangefinder(send=0.0, gain=0.0, drift=0.0, noise=5 * LINEAR, offset=2000.3 * LINEAR)
     counts = record([], r, n_cycles=16).signal.values
@@ -222,9 +226,10 @@ def test_noise_has_its_level_and_the_counts_their_steps():
 
 
 def test_drift_wanders_slowly_with_its_level():
-    """Over 15 000 s the slow sines' mean square is the level's, 5 % for the slowest's 15 turns.
+    """The rms of the slow sines over 15 000 s is the level, to 5 % for 15 periods of the slowest.
 
-    Between neighbouring cycles, 50 ms apart, it moves by less than the sum of their slopes.
+    Between neighbouring cycles, 50 ms apart, the drift changes by less than the sum of the sines'
+    slopes.
     """
     r = Rangefinder(send=0.0, gain=0.0, noise=0.0, clutter=0.0, quantised=False, n_samples=16)
     slow = record([], replace(r, cycle_rate=0.13, drift=0.01, drive=Burst(frequency=1e6)),
@@ -237,7 +242,7 @@ def test_drift_wanders_slowly_with_its_level():
 
 
 def test_cycles_are_the_same_in_whatever_run():
-    """Bit by bit; another seed, and another cycle, are different."""
+    """Equal bit by bit; another seed or another cycle gives other noise."""
     r = Rangefinder()
     many = record([partial(0.3, 0.5)], r, n_cycles=300, seed=3)
     few = record([partial(0.3, 0.5)], r, n_cycles=2, first_cycle=270, seed=3)
@@ -250,7 +255,7 @@ def test_cycles_are_the_same_in_whatever_run():
 
 
 def test_clutter_belongs_to_the_tube_and_has_its_level():
-    """Mean square over frequencies and tubes: density times the integral of exp(-4 alpha z).
+    """Mean square over frequencies and tubes: density times integral of exp(-4 alpha z).
 
     The mean over 20 tubes, each with some 2 * 2.5 m * 40 kHz / 343 m/s = 580 independent values
     less for the loss, about 100 in effect: 2 % of standard error, five of them allowed.
@@ -280,10 +285,11 @@ def test_clutter_behind_a_bend_that_is_hardly_curved_is_that_of_a_straight_tube(
 
 
 def test_clutter_in_a_bend_is_the_same_wherever_the_bend_is_divided():
-    """The plane wave has the bend's own wavenumber all along: no matrix's place enters.
+    """The plane wave has the bend's wavenumber throughout, so that divisions have no effect.
 
-    At 33 per metre 1 m of bend has 10 to 40 rad more phase than straight tube, there and back: all
-    the clutter's change were it that of straight tube up to a bend's middle, and jumped there.
+    At 33 per metre 1 m of bend has 10 to 40 rad more phase than straight tube, there and back.
+    Clutter computed with that of straight tube up to a bend's middle, and a jump there, would
+    depend on the division.
     """
     f = np.linspace(30e3, 50e3, 41)
     words = {"radius": BORE, "length": 1.5, "density": 1e-4, "tube_seed": 5}
@@ -304,7 +310,7 @@ def test_clutter_in_a_bend_is_the_same_wherever_the_bend_is_divided():
 
 
 def test_plane_wave_of_a_bend_has_the_phase_that_the_bend_transmits():
-    """On average over the beats of the bend's modes, which are 0.11 rad at 33 per metre."""
+    """Averaged over the beats of the bend's modes, which are 0.11 rad at 33 per metre."""
     f = np.arange(30e3, 50e3, 50.0)
     part = Bent(length=0.3, curvature=33.0, torsion=3.0)
     found = joined_bends(AIR, f, [part], radius=BORE, modes=("00",))
@@ -316,8 +322,8 @@ def test_plane_wave_of_a_bend_has_the_phase_that_the_bend_transmits():
     assert np.abs(np.angle(ahead)).max() > 1  # a straight tube's phase is another
 
 
-def test_clutter_behind_a_press_is_heard_through_it():
-    """Behind a closure none; behind half the power, half the amplitude. Before it, all."""
+def test_clutter_behind_a_press_is_transmitted_through_it():
+    """None behind a closure; behind half the power, half the amplitude; before a press, all."""
     f = np.linspace(30e3, 50e3, 41)
     words = {"radius": BORE, "length": 1.0, "density": 1e-4, "tube_seed": 5}
     whole = clutter([], AIR, f, **words)
@@ -328,12 +334,12 @@ def test_clutter_behind_a_press_is_heard_through_it():
     assert np.abs(whole - before).max() > 1e-3 * np.abs(whole).max()
     shut = record([blockage(BAND, 0.4)], replace(IDEAL, clutter=1e-4), tube_seed=5)
     t, volts = shut.time.values, shut.signal.values[0]
-    # Nothing is heard between the closure's echo (2.3 ms + 0.26 ms) and the end of the record.
+    # There is no signal between the closure's echo (2.3 ms + 0.26 ms) and the end of the record.
     assert np.abs(volts[t > 3e-3]).max() < 1e-4 * np.abs(volts).max()
 
 
 def test_adc_clips_at_both_ends():
-    """Of its 12 bits, during the send pulse; 8 bits end at 255. What is not quantised does not."""
+    """12 bits clip during the send pulse; 8 bits end at 255; unquantised samples do not clip."""
     counts = record([]).signal.values
     assert (counts.min(), counts.max()) == (0, 4095)
     assert (np.sort(counts[0, :60])[[5, -5]] == [0, 4095]).all()
@@ -343,11 +349,11 @@ def test_adc_clips_at_both_ends():
     assert free.max() > 1e5
 
 
-def test_drive_below_cut_on_is_heard_at_its_own_frequency():
-    """20 kHz: the loss of the plane mode there, which is 66 % of that at 42 kHz.
+def test_drive_below_cut_on_has_the_loss_at_its_frequency():
+    """At 20 kHz the loss of the plane mode is 66 % of that at 42 kHz.
 
-    The transducer is made for 20 kHz. The steady middle of a 60-cycle burst follows exp(-2 alpha l)
-    between two closures to 0.2 %, its envelope's ripple from the burst's ends.
+    The transducer is resonant at 20 kHz. The steady middle of a 60-cycle burst follows exp(-2 alpha
+    l) between two closures to 0.2 %, its envelope's ripple from the burst's ends.
     """
     r = replace(IDEAL, drive=Burst(frequency=20e3, cycles=60, shape="sine"), resonance=20e3,
                 quality_factor=5.0)  # fmt: skip
@@ -364,7 +370,7 @@ def test_drive_below_cut_on_is_heard_at_its_own_frequency():
 @pytest.mark.parametrize("shape", ["square", "sine"])
 @pytest.mark.parametrize("cycles", [3.0, 2.3])
 def test_bursts_have_the_spectrum_of_their_samples(shape, cycles):
-    """The closed form beside a sum over samples at 100 MHz, midpoint rule.
+    """The closed form is compared with a sum over samples at 100 MHz, midpoint rule.
 
     A step between samples moves by up to half of one, 5 ns or 1e-3 rad at 42 kHz: 2e-3 of the peak.
     """
@@ -378,7 +384,7 @@ def test_bursts_have_the_spectrum_of_their_samples(shape, cycles):
 
 
 def test_sampled_drive_is_the_pulse_that_it_samples():
-    """At 2 MHz the spline of a 42 kHz pulse is good to (2 pi 42/2000)^4 / 100: 3e-6.
+    """At 2 MHz the spline of a 42 kHz pulse is right to (2 pi 42/2000)^4 / 100: 3e-6.
 
     The pulse ends between two samples, with a slope of 1 % of 2 pi 42 kHz: 1e-3 at most is lost for
     at most 0.5 us, a tenth of a sample of the record: 1e-4.
@@ -394,8 +400,8 @@ def test_sampled_drive_is_the_pulse_that_it_samples():
 def test_nothing_is_aliased():
     """A square's third overtone, 126 kHz, would appear at 74 kHz, 10 dB below the carrier.
 
-    The side lobes of the Hann window are 1e-8 there: its width is 1600 samples, and they fall with
-    the cube of the distance.
+    The side lobes of the Hann window are 1e-8 there: its width is 1600 samples, and they decrease
+    with the cube of the distance.
     """
     flat = replace(IDEAL, drive=Burst(frequency=42e3, cycles=400))
     t, volts = response([], flat)
@@ -406,13 +412,13 @@ def test_nothing_is_aliased():
 
 
 def test_lead_delays_the_record():
-    """By a whole number of samples: bit by bit but for rounding."""
+    """The delay is a whole number of samples, to rounding."""
     early, late = (response([], replace(IDEAL, lead=lead))[1] for lead in (0.0, 1e-3))
     assert late[200:] == pytest.approx(early[:-200], abs=1e-9)
 
 
-def test_reported_temperature_errs_as_told():
-    """Bias and noise at five standard errors of 400 cycles, in whole steps."""
+def test_reported_temperature_has_the_stated_bias_and_noise():
+    """Bias and noise are right within five standard errors of 400 cycles, in whole steps."""
     r = Rangefinder(temperature_bias=0.5, temperature_noise=0.2, temperature_resolution=0.0625)
     found = record([], r, temperature=21.0, n_cycles=400).temperature.values
     sigma = np.hypot(0.2, 0.0625 / np.sqrt(12))
@@ -464,9 +470,9 @@ def test_impossible_records_are_refused():
 
 
 def test_cycles_jitter_and_wander_by_what_is_stated():
-    """400 cycles: the scatter of delays and levels of an echo to a tenth, three of its deviations.
+    """The spread of delays and levels of an echo in 400 cycles, to 10 %, three of its deviations.
 
-    The delay is the phase of the cycle's product with the mean, over the carrier.
+    The delay is the phase of the cycle's product with the mean, over the carrier frequency.
     """
     sensor = replace(IDEAL, jitter=0.5e-6, gain_wander=0.03, drive=Burst(), quality_factor=14.0)
     data = record([blockage(BAND, 0.7)], sensor, n_cycles=400, seed=3)
@@ -479,7 +485,7 @@ def test_cycles_jitter_and_wander_by_what_is_stated():
 
 
 def test_given_reflectors_echo_where_they_are():
-    """One of -40 dB, 0.5005 m away: the echo of a press of that reflection, at that place."""
+    """One of -40 dB at 0.5005 m, against a press of that reflection at that position."""
     reflectors = np.zeros(1000)
     reflectors[500] = 0.01
     sensor = replace(Rangefinder(), **QUIET, face_reflection=0.0, far_reflection=0.0)

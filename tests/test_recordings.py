@@ -1,4 +1,4 @@
-"""Recordings: the same cycles from every kind of file, and a sentence for what cannot be read."""
+"""Recordings: the same cycles from every file format, and one sentence for unreadable files."""
 
 import io
 import json
@@ -28,7 +28,7 @@ LABELS = {"distance": [0.5, 1.25, 2.0], "depth_mm": [1.0, 2.0, 4.0], "press": [7
 
 
 def cycles(n=N, length=LENGTH, dtype=np.int16):
-    """Decaying bursts of a 12-bit converter, in each cycle another."""
+    """Decaying bursts of a 12-bit converter, different in each cycle."""
     time = np.arange(length) / RATE
     tone = np.sin(2 * np.pi * 42e3 * time) * np.exp(-time / 5e-4)
     return np.round(2000 * tone * np.linspace(1, 0.5, n)[:, None]).astype(dtype)
@@ -39,7 +39,7 @@ def sidecar(path, **values):
 
 
 def beside(path):
-    """Say beside a file of sound what it has no place for."""
+    """Write the sidecar of a sound file, which has no place for labels."""
     labels = {name: list(values) for name, values in LABELS.items()}
     sidecar(path, temperature_c=TEMPERATURE.tolist(), samples_per_cycle=LENGTH, labels=labels)
 
@@ -83,7 +83,7 @@ def write_wide_tabs(path, signal):
 
 
 def write_timed(path, signal):
-    """One cycle a column, which leaves no place for labels but one beside the file."""
+    """Write one cycle per column, which leaves no place for labels but a sidecar."""
     beside(path)
     rows = np.column_stack([np.arange(LENGTH) / RATE, signal.T])
     lines = [",".join([repr(row[0].item()), *(f"{v:g}" for v in row[1:])]) for row in rows]
@@ -96,7 +96,7 @@ def write_wav(path, signal):
 
 
 def write_wav_24(path, signal):
-    """Three bytes a sample, which scipy reads and does not write."""
+    """Write three bytes per sample, which scipy reads but cannot write."""
     body = signal.astype("<i4").reshape(-1, 1).view("u1")[:, :3].tobytes()
     form = struct.pack("<HHIIHH", 1, 1, int(RATE), int(RATE) * 3, 3, 24)
     chunks = b"WAVEfmt " + struct.pack("<I", 16) + form + b"data" + struct.pack("<I", len(body))
@@ -127,7 +127,7 @@ def write_mat_struct(path, signal):
 
 
 def write_mat_73(path, signal):
-    """What MATLAB writes with -v7.3: HDF5 behind its own header, all arrays turned over."""
+    """Write as MATLAB does with -v7.3: HDF5 behind its own header, with all arrays transposed."""
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, values in named(signal).items():
             item = file.create_dataset(name, data=np.atleast_2d(values).T)
@@ -151,7 +151,7 @@ def write_hdf5(path, signal):
 
 
 def write_netcdf(path, signal):
-    """A file of someone else's: other names, other dimensions, the time given."""
+    """Write a file of another program: other names, other dimensions, with a time axis."""
     variables = {
         "adc": (("press_no", "t"), signal),
         "temp": ("press_no", TEMPERATURE),
@@ -181,7 +181,7 @@ WRITERS = {
 
 
 def recorded(tmp_path, kind="npz"):
-    """Return a new file of the cycles, whose name says its kind."""
+    """Return a new file of the cycles, whose name states its format."""
     suffix, writer = WRITERS[kind]
     path = tmp_path / f"run{suffix}"
     writer(path, cycles())
@@ -189,14 +189,14 @@ def recorded(tmp_path, kind="npz"):
 
 
 def saved(path, signal, **others):
-    """Return an NPZ file that tells rate and temperature, unless told otherwise."""
+    """Return an NPZ file with rate and temperature, unless others are given."""
     np.savez(path, **({"signal": signal, "fs": RATE, "temperature": 20.0} | others))
     return path
 
 
 @pytest.mark.parametrize("kind", WRITERS)
 def test_every_kind_of_file_gives_the_same_cycles(tmp_path, kind):
-    """Times of nine digits give the rate back, and a unit's factor costs one rounding."""
+    """Times of nine digits give the rate, and a unit's factor costs one rounding."""
     data = read(recorded(tmp_path, kind))
     np.testing.assert_array_equal(data["signal"], cycles())
     assert data["signal"].dtype == (np.int32 if "24" in kind else np.int16)
@@ -225,7 +225,7 @@ def test_written_recording_comes_back_as_it_was(tmp_path, kind):
 
 
 def test_simulated_recording_is_read_as_what_it_is(tmp_path):
-    """With its thermometer's temperatures, not the air's true one, and all that it states."""
+    """With the reported temperatures, not the true one of the air, and all of its attributes."""
     simulated = record([], n_cycles=3)
     write(simulated, tmp_path / "free.nc")
     again = read(tmp_path / "free.nc")
@@ -275,7 +275,7 @@ def test_large_files_are_mapped_not_copied(tmp_path, suffix):
 
 @pytest.mark.parametrize("dtype", ["u2", "f8"])
 def test_large_arrays_of_mat_are_mapped_from_where_they_lie(tmp_path, dtype):
-    """Columns first; and one that is packed comes through the pipe."""
+    """The arrays are stored by columns; a compressed one is sent through the pipe."""
     signal = np.random.default_rng(0).integers(0, 4096, (300, 4000)).astype(dtype)
     savemat(tmp_path / "a.mat", {"signal": signal, "rate": RATE})
     savemat(tmp_path / "b.mat", {"signal": signal, "rate": RATE}, do_compression=True)
@@ -341,7 +341,7 @@ def test_continuous_record_is_cut_into_whole_cycles(tmp_path_factory, n, length,
 
 
 def test_temperature_of_each_sample_is_averaged_over_the_cycles(tmp_path):
-    """Halves are exact in binary, so the means are too."""
+    """Halves are exact in binary, and so are the means."""
     temperature = np.repeat([20.0, 21.5], LENGTH)
     path = saved(tmp_path / "a.npz", cycles(2).ravel(), temperature=temperature)
     assert read(path, samples=LENGTH)["temperature"].values.tolist() == [20.0, 21.5]
@@ -401,13 +401,13 @@ def test_more_rows_than_columns_are_noted_and_turned_by_samples(tmp_path):
     np.testing.assert_array_equal(turned["signal"], signal)
 
 
-def test_time_axis_tells_which_axis_is_time(tmp_path):
+def test_time_axis_identifies_the_axis_of_time(tmp_path):
     time = np.arange(LENGTH) / RATE
     path = tmp_path / "a.npz"
     np.savez(path, signal=cycles().T, time_us=1e6 * time + 50, temp=20.0)
     data = read(path)
     np.testing.assert_array_equal(data["signal"], cycles())
-    assert data["time"].values[0] == pytest.approx(5e-5)  # as its own axis has it
+    assert data["time"].values[0] == pytest.approx(5e-5)  # as in its own axis
 
 
 def test_columns_of_matlab_are_cycles_when_samples_says_so(tmp_path):
@@ -537,7 +537,7 @@ def test_values_that_cannot_be_used_are_refused(tmp_path, what):
 
 
 def test_crafted_array_of_object_pointers_is_refused_before_one_is_followed(tmp_path):
-    """96 kB, stored: the size and kind that was once mapped, so that its bytes were pointers."""
+    """96 kB, stored: of a size and type that were once mapped, with bytes used as pointers."""
     head = io.BytesIO()
     np.lib.format.write_array_header_1_0(
         head, {"descr": "|O", "fortran_order": False, "shape": (3, 4000)}

@@ -46,10 +46,10 @@ def inside(name, n=12):
 
 
 def reproduced(name):
-    """Return the exponents of the monomials that an element is known to contain.
+    """Return the exponents of the monomials in the space of an element.
 
-    The serendipity elements: those whose degree, not counting the exponents of one, is at most two
-    (8 in the plane, 20 in space); the simplices: those of degree two or less (6 and 10).
+    Serendipity elements: those whose degree, not counting the exponents of one, is at most two (8
+    in the plane, 20 in space); simplices: those of degree two or less (6 and 10).
     """
     d = ELEMENTS[name].nodes.shape[1]
     if name in SIMPLICES:
@@ -59,7 +59,7 @@ def reproduced(name):
 
 @pytest.mark.parametrize("name", ELEMENTS)
 def test_shape_functions_are_one_at_their_node_and_sum_to_one(name):
-    """Round-off of a matrix inverse: 1e-13."""
+    """To the round-off of a matrix inverse, 1e-13."""
     element = ELEMENTS[name]
     values, _ = element.shape_functions(element.nodes)
     assert np.abs(values - np.eye(len(element.nodes))).max() < 1e-13
@@ -70,7 +70,7 @@ def test_shape_functions_are_one_at_their_node_and_sum_to_one(name):
 
 @pytest.mark.parametrize("name", ELEMENTS)
 def test_shape_functions_interpolate_their_polynomials_exactly(name):
-    """Every monomial of the element, as many as it has nodes, with its gradient, to round-off."""
+    """All monomials of the element, as many as nodes, with gradients, to round-off."""
     element = ELEMENTS[name]
     points = inside(name)
     values, slopes = element.shape_functions(points)
@@ -105,7 +105,7 @@ def test_simplex_nodes_are_its_corners_and_then_the_middles_of_their_pairs(name)
 
 
 def test_faces_of_an_element_carry_the_shape_functions_of_their_own_kind():
-    """A solid's shape functions on a face equal the face element's at that face's nodes."""
+    """A solid's shape functions on a face equal those of the face element at that face's nodes."""
     for solid, face in FACE.items():
         flat = np.abs(solid.nodes[:, 2] - solid.nodes[:, 2].min()) == 0
         points = inside("quad8" if solid is HEX20 else "tri6")
@@ -122,7 +122,7 @@ def test_faces_of_an_element_carry_the_shape_functions_of_their_own_kind():
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("n", [3, 5])
 def test_gauss_rule_is_exact_to_its_degree_and_not_beyond(n, d):
-    """n points are exact to degree 2 n - 1 in each direction; 3 of them to degree five."""
+    """n points are exact to degree 2 n - 1 in each direction; three of them to degree five."""
     points, weights = gauss(n, d)
     assert points.shape == (n**d, d)
     for powers in product(range(2 * n), repeat=d):
@@ -134,7 +134,10 @@ def test_gauss_rule_is_exact_to_its_degree_and_not_beyond(n, d):
 
 @pytest.mark.parametrize("n", [2, 4])
 def test_collapsed_gauss_rule_is_exact_to_its_degree_and_not_beyond(n):
-    """2 n - 2 on the triangle: one degree goes into the collapse. b^(2n-1) is not integrated."""
+    """It is exact to degree 2 n - 2 on the triangle; the collapse uses one degree.
+
+    b^(2n-1) is not integrated exactly.
+    """
     points, weights = collapsed_gauss(n)
     for powers in powers_up_to(2 * n - 2, 2):
         integral = weights @ np.prod(points**powers, axis=1)

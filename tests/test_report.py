@@ -19,7 +19,7 @@ from acoustube.runs.sweep import progress
 
 
 class Clock:
-    """A clock that is set by hand."""
+    """A clock that the test sets."""
 
     def __init__(self, monkeypatch):
         self.now = 0.0
@@ -27,7 +27,7 @@ class Clock:
 
 
 def test_time_left_of_a_steady_rate_is_exact_after_a_slow_compiler():
-    """20 s of compiling, then 1 s for each of ten steps: never an estimate over ten seconds."""
+    """After 20 s of compilation ten steps take 1 s each: no estimate exceeds ten seconds."""
     left, times = TimeLeft(), []
     times.append(left.update(0.0, 0.0))
     times.append(left.update(10.0, 0.0))
@@ -125,7 +125,7 @@ def test_messages_are_printed_as_they_are_and_failures_also_when_quiet(capsys):
 
 
 def interrupts_after(*delays):
-    """Interrupt this process after some seconds each."""
+    """Interrupt this process after each of some delays in s."""
     for delay in delays:
         threading.Timer(delay, os.kill, [os.getpid(), signal.SIGINT]).start()
 
@@ -145,7 +145,7 @@ def test_interrupt_waits_for_an_import_and_comes_once(delays, tmp_path, monkeypa
     assert 0.45 < time.perf_counter() - begun < 3
     assert sys.modules.pop("slow_to_load").DONE
     assert signal.getsignal(signal.SIGINT) is before
-    time.sleep(0.2)  # the second has come with the first
+    time.sleep(0.2)  # the second one was merged with the first
 
 
 def test_interrupt_outside_imports_comes_at_once_and_a_lost_one_again():
@@ -160,13 +160,13 @@ def test_interrupt_outside_imports_comes_at_once_and_a_lost_one_again():
 
 
 class Unfinished:
-    """An object whose destructor fails, as one whose construction was interrupted."""
+    """An object whose destructor fails, as after an interrupted construction."""
 
     def __del__(self) -> None:
         raise AttributeError("unfinished")
 
 
-def test_errors_of_destructors_are_told_until_an_interrupt(monkeypatch):
+def test_errors_of_destructors_are_reported_until_an_interrupt(monkeypatch):
     told = []
     monkeypatch.setattr(sys, "unraisablehook", told.append)
     with watched_interrupts():
@@ -181,7 +181,7 @@ def test_errors_of_destructors_are_told_until_an_interrupt(monkeypatch):
 
 
 def test_time_left_of_a_sweep_falls_while_its_first_tasks_run(monkeypatch):
-    """Four tasks of 100 s on two workers, of which none has ended: 200 s, and no more later."""
+    """Four tasks of 100 s on two workers, none of which has ended: 200 s, then never more."""
     clock, said = Clock(monkeypatch), []
     monkeypatch.setattr(progress.time, "perf_counter", lambda: clock.now)
     board = progress.Board({"cases": (4, 400.0)}, 2, lambda *given: said.append(given[-1]))
@@ -189,7 +189,7 @@ def test_time_left_of_a_sweep_falls_while_its_first_tasks_run(monkeypatch):
         clock.now = now
         board.tick()
     assert said == ["3 min left", "3 min left", "2 min left", "2 min left"]
-    clock.now = 160.0  # they take 1.6 times as long: 1.8 after 60 s more at the expected rate
+    clock.now = 160.0  # 1.6 times as long as expected, damped by PRIOR_SECONDS at the expected rate
     board.count("cases", 200.0, 2)
     scale = (160 + progress.PRIOR_SECONDS) / (100 + progress.PRIOR_SECONDS)
     assert said[-1] == f"{time_in_words(100 * scale)} left"

@@ -18,9 +18,10 @@ pytestmark = pytest.mark.slow
 
 
 def pinched(case):
-    """The reference's lumens: A flattened from above by 30 %, E narrowed all round by 40 %.
+    """Lumens of the reference: A flattened from above by 30 %, E narrowed all round by 40 %.
 
-    None gives the straight bore. The area of 166 facets is 2.4e-4 low, which moves R by less.
+    None gives the straight bore. The area of 166 facets is 2.4e-4 too small, which changes R by
+    less.
     """
     h, width = {"A": (0.30, 12e-3), "E": (0.40, 8e-3), None: (0.0, 1e-3)}[case]
     z = np.union1d(np.linspace(0, 2 * MIDDLE, 241), MIDDLE + np.linspace(-12.5e-3, 12.5e-3, 167))
@@ -43,7 +44,7 @@ def click(time):
 
 
 def scattered(case, resolution, frequencies):
-    """R00 and T00 from one broadband run, and one of the straight bore on the same grid."""
+    """R00 and T00 from broadband runs of the lumen and of the straight bore on one grid."""
     spacing = grid_spacing(2 * RADIUS, resolution)
     settings = {"duration": 12e-3, "probes": PROBES, "source_end": "absorbing"}
     with_pinch = propagate(cut_cells(pinched(case), spacing, half=True), AIR, click, **settings)
@@ -66,9 +67,9 @@ def scattered(case, resolution, frequencies):
 def test_pinched_lumen_scatters_as_the_spectral_solution(case, tolerance):
     """Complex R00 and T00, 8 to 56 kHz, at 16 cells per bore.
 
-    Measured at 16 and 32 cells: largest error of R 0.0019 and 0.0006 (A), 0.0048 and 0.0010 (E);
-    of T 0.0039 and 0.0013, 0.0101 and 0.0026: second order, to zero. The excerpt leaves out 42 kHz,
-    0.2 kHz under the (2,1) cut-on, which the grid moves by 0.6 %.
+    Largest errors measured at 16 and 32 cells: of R 0.0019 and 0.0006 (A), 0.0048 and 0.0010 (E);
+    of T 0.0039 and 0.0013, 0.0101 and 0.0026: they tend to zero at second order. The excerpt leaves
+    out 42 kHz, 0.2 kHz below the (2,1) cut-on, which the grid shifts by 0.6 %.
     """
     table = np.genfromtxt(REFERENCE, delimiter=",", names=True, dtype=None, skip_header=5)
     rows = table[table["case"] == case]

@@ -1,4 +1,4 @@
-"""The drawing of a run: the tool that pressed, where it pressed, and what the tube rests on."""
+"""The drawing of a run: the tool, its position, and the ground."""
 
 import json
 
@@ -16,7 +16,7 @@ RADIUS, WALL, REACH = 5.55e-3, 1.6e-3, 40e-3
 
 
 def rings(radius, sink=0.0):
-    """A round tube of 120 points around, the first at the bottom, that sinks in its middle."""
+    """Rings of a round tube of 120 points each, from the bottom on, lowered in the middle."""
     angle = np.linspace(0, 2 * np.pi, 120, endpoint=False)
     z = np.linspace(-REACH, REACH, 161)
     shape = (len(z), len(angle))
@@ -39,7 +39,7 @@ PRESSES = [
 
 @pytest.mark.parametrize("press", PRESSES, ids=lambda p: f"{p.shape} {p.x:g} {p.yaw:g}")
 def test_tool_is_drawn_behind_the_cut_where_it_touches_the_wall(press):
-    """The solver's distance to that tool vanishes on it, and is nowhere negative on the wall."""
+    """The solver's distance to the tool is zero on the drawn tool, and not negative on the wall."""
     outer = rings(RADIUS)
     points, faces = scene.tool_behind(press, outer)
     assert points[:, 0].min() >= -1e-12
@@ -102,7 +102,7 @@ def test_drawing_of_a_run_shows_what_its_settings_say():
 
 
 def test_distance_grows_to_the_right_in_the_strip():
-    """The wall of a dented tube has fewer pixels at the dent, which is at a quarter of it."""
+    """The wall of a tube dented at a quarter of its length has the fewest pixels there."""
     dent = 2e-3 * np.exp(-(((np.linspace(-REACH, REACH, 161) + REACH / 2) / 6e-3) ** 2))
     walls = {}
     for name, radius in (("outer_wall", RADIUS), ("inner_wall", RADIUS - WALL)):
@@ -124,7 +124,7 @@ def a_view():
 
 
 def test_pictures_that_cannot_be_drawn_cost_nothing_but_themselves(monkeypatch, tmp_path):
-    """A process that fails, and a folder for temporary files that does not exist."""
+    """A process that fails, and a missing folder for temporary files, raise no error."""
     monkeypatch.setattr(offscreen.sys, "executable", "/bin/false")
     with offscreen.rendering(a_view()) as drawn:
         assert drawn() is None
@@ -134,7 +134,7 @@ def test_pictures_that_cannot_be_drawn_cost_nothing_but_themselves(monkeypatch, 
 
 
 def test_drawing_ends_with_its_context(monkeypatch, tmp_path):
-    """Whatever ends that: an interrupt while the sound is computed, for example."""
+    """The process ends also after an exception, such as an interrupt of the computation."""
     started = []
     real = offscreen.subprocess.Popen
 

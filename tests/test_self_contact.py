@@ -20,7 +20,7 @@ from acoustube.tube import Tube
 
 TUBE = Tube()
 RADIUS = TUBE.inner_diameter / 2
-DISTANCE = 0.1e-3  # below which the walls feel each other; half of the vertices' spacing
+DISTANCE = 0.1e-3  # range of the barrier between the walls; half of the vertices' spacing
 REACH = 4e-3
 SIZE = MeshSize(through_wall=1, around=16, along=2, grading=0.1, fold=0.0, touch=0.0)
 PARTS = {"quarter": (True, True), "half": (True, False), "whole": (False, False)}
@@ -29,8 +29,9 @@ PARTS = {"quarter": (True, True), "half": (True, False), "whole": (False, False)
 def flattened(mesh, gap, askew=0.0):
     """Return the positions of nodes when the bore is pinched in the middle to a given height.
 
-    The section becomes a dumbbell, y (gap / 2R + (x / R)^2), whose walls meet nowhere else. Askew,
-    no vertex stands exactly over another, where the distance between them changes its formula.
+    The section is a dumbbell, y (gap / 2R + (x / R)^2), whose walls meet nowhere else. With the two
+    walls shifted against each other (askew) no vertex is exactly above another, where the formula
+    of their distance changes.
     """
     x, y, z = mesh.points.T
     squeeze = gap / (2 * RADIUS)
@@ -54,7 +55,7 @@ def lumen(quarter):
 
 
 def moved(mesh, seed=0):
-    """Return a random motion of the inner wall's nodes, without unit."""
+    """Return a random dimensionless motion of the inner wall's nodes."""
     direction = np.zeros_like(mesh.points)
     inner = np.unique(mesh.inner_faces)
     direction[inner] = np.random.default_rng(seed).normal(size=(len(inner), 3))
@@ -68,7 +69,7 @@ def moved(mesh, seed=0):
 def test_barrier_forces_are_the_slope_of_its_energy(quarter, lumen, share):
     """Central difference over 1e-9 m along a random motion, at gaps within the barrier distance.
 
-    Truncation is some (1e-9 / gap)^2 = 1e-9, round-off 1e-7 of the energy's change.
+    The truncation error is some (1e-9 / gap)^2 = 1e-9, the round-off 1e-7 of the energy's change.
     """
     position, direction, step = (
         flattened(quarter, share * DISTANCE, askew=0.013),
@@ -103,9 +104,10 @@ def test_barrier_tangent_is_the_slope_of_its_forces(quarter, lumen, share):
 
 @pytest.mark.parametrize("share", [0.3, 0.55, 0.8])
 def test_barrier_forces_change_with_the_undeformed_wall_as_they_do_on_another_tube(share):
-    """At fixed displacements, against a central difference between tubes that are 1e-6 wider.
+    """The derivative is a central difference between tubes that are 1e-6 wider.
 
-    A wider bore whose nodes also go along it, so that areas and angles of the triangles change.
+    Displacements are fixed. The nodes of the wider bore also move along it, so that areas and
+    angles of the triangles change.
     """
     tube = sweep(TUBE, REACH, SIZE)
     displacement = flattened(tube, share * DISTANCE, askew=0.013) - tube.points
@@ -122,9 +124,9 @@ def test_barrier_forces_change_with_the_undeformed_wall_as_they_do_on_another_tu
 
 
 def test_barrier_pushes_the_walls_apart_and_nothing_else(mesh):
-    """No net force and no net moment, to round-off; the upper wall is pushed up.
+    """There is no net force and no net moment, to round-off, and the upper wall is pushed up.
 
-    Sideways only as far as the bore is askew, by some per cent.
+    The lateral force is some per cent, as far as the bore is askew.
     """
     lumen = self_contact(mesh, TUBE.shear_modulus, DISTANCE)
     position = flattened(mesh, 0.5 * DISTANCE, askew=0.013)
@@ -139,8 +141,8 @@ def test_barrier_pushes_the_walls_apart_and_nothing_else(mesh):
     assert not np.any(gradient[mesh.sweep.layer > 0])
 
 
-def test_walls_do_not_feel_each_other_beyond_the_distance(mesh):
-    """Exactly nothing at rest, and at any gap above the distance; something just below."""
+def test_barrier_is_zero_beyond_its_distance(mesh):
+    """Exactly zero at rest and at any gap above the distance; positive just below."""
     lumen = self_contact(mesh, TUBE.shear_modulus, DISTANCE)
     for position in (mesh.points, flattened(mesh, 1.01 * DISTANCE)):
         energy, gradient = lumen.energy_and_forces(position)
@@ -151,7 +153,7 @@ def test_walls_do_not_feel_each_other_beyond_the_distance(mesh):
 
 
 def test_barrier_grows_without_bound_as_the_walls_meet(quarter, lumen):
-    """Like a logarithm: each time the gap is divided by ten, the energy rises by as much again.
+    """Like a logarithm: the energy rises by a constant each time the gap falls by ten.
 
     Measured: 7.3e-5 J, 5.6e-5, 5.4e-5, 5.3e-5.
     """
@@ -164,7 +166,7 @@ def test_barrier_grows_without_bound_as_the_walls_meet(quarter, lumen):
 
 
 def test_energy_does_not_depend_on_the_unit_of_length():
-    """A tube ten times as large in all its sizes stores a thousand times the energy.
+    """A tube ten times as large in all dimensions stores a thousand times the energy.
 
     The barrier is an energy per volume times a shear modulus; to 1e-6, the library's tolerances.
     """
@@ -183,10 +185,10 @@ def test_energy_does_not_depend_on_the_unit_of_length():
 
 
 def test_a_step_that_would_cross_is_stopped_short_of_the_first_collision(quarter, lumen):
-    """From a gap g to one of -g: they meet half-way, and the step goes the safe share of that.
+    """For a step from a gap g to -g the walls meet half-way; the safe share of that is taken.
 
-    The ridges stand a = 0.05 mm to either side, and are polygons of vertices 0.2 mm apart: they
-    meet later, by 2 a^2 / R to 5 um of 2 g = 100 um. The check errs on the safe side, by a tenth.
+    The ridges are a = 0.05 mm to either side, and are polygons of vertices 0.2 mm apart: they meet
+    later, by 2 a^2 / R to 5 um of 2 g = 100 um. The check errs on the safe side, by a tenth.
     """
     gap = 0.5 * DISTANCE
     start, end = (flattened(quarter, side * gap, askew=0.013) for side in (1, -1))
@@ -214,9 +216,9 @@ def areas(vertices, triangles):
 
 
 def test_vertices_lie_on_the_quadratic_faces(mesh):
-    """On the parabola x = 1 - (1 - cos a) (y / sin a)^2 of each element's arc, to round-off.
+    """Vertices lie on the parabola x = 1 - (1 - cos a) (y / sin a)^2 of each element's arc.
 
-    x points to the middle of the arc, of half angle a, on a circle of radius 1.
+    x points to the middle of the arc, of half angle a, on a circle of radius 1; to round-off.
     """
     sampling, _ = triangulated(mesh)
     x, y, z = (sampling @ mesh.points / RADIUS).T
@@ -232,7 +234,7 @@ def test_vertices_lie_on_the_quadratic_faces(mesh):
 
 @pytest.mark.parametrize("parts", [1, 3, 4])
 def test_no_vertex_is_there_twice(mesh, parts):
-    """As many as a structured grid has, and no two closer than a tenth of its spacing."""
+    """There are as many as in a structured grid, and no two closer than a tenth of its spacing."""
     sampling, triangles = triangulated(mesh, parts=parts)
     along, around, _ = mesh.sweep.shape
     rings, columns = parts * along + 1, parts * around + (1 if mesh.halved[0] else 0)
@@ -246,9 +248,9 @@ def test_no_vertex_is_there_twice(mesh, parts):
 
 
 def test_triangles_are_joined_and_all_turned_the_same_way(mesh):
-    """Each edge belongs to at most two triangles, which run through it in opposite directions.
+    """Each edge belongs to at most two triangles, which pass it in opposite directions.
 
-    The number of edges with one triangle is that of the rims: both ends, and both seams of a half.
+    Edges with one triangle are those of the rims: both ends, and both seams of a half.
     """
     _, triangles = triangulated(mesh)
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
@@ -261,7 +263,7 @@ def test_triangles_are_joined_and_all_turned_the_same_way(mesh):
 
 
 def test_triangles_area_converges_to_that_of_the_wall(quarter):
-    """With the square of the parts; what is left is the parabolas' difference from the circle."""
+    """With the square of the number of parts; the rest is the parabolas' own error."""
     face = quarter.face
     corners = quarter.points[quarter.inner_faces]
     tangents = np.einsum("fni,qnj->fqij", corners, face.slopes)
@@ -278,7 +280,7 @@ def test_triangles_area_converges_to_that_of_the_wall(quarter):
 def curved_triangles():
     """Return a mesh of two six-node triangles that share an edge, on z = x^2 - x y / 2.
 
-    Their map is the identity in x and y, so that the quadratic surface is met exactly.
+    Their map is the identity in x and y, so that the quadratic surface is represented exactly.
     """
     corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
     faces = []
@@ -294,7 +296,7 @@ def curved_triangles():
 
 @pytest.mark.parametrize("parts", [1, 2, 5])
 def test_six_node_triangles_are_sampled_on_their_surface(parts):
-    """(n + 1)^2 vertices of the square, n^2 triangles of each, turned the same way."""
+    """(n + 1)^2 vertices on the square, n^2 triangles for each face, equally oriented."""
     mesh = curved_triangles()
     assert len(mesh.points) == 9
     sampling, triangles = triangulated(mesh, parts=parts)
@@ -310,7 +312,7 @@ def test_six_node_triangles_are_sampled_on_their_surface(parts):
 
 
 def test_triangles_of_six_node_faces_have_the_surfaces_area():
-    """int sqrt(1 + z_x^2 + z_y^2) by TRI6's own rule and by 40 parts: (1 / 40)^2 / 10 apart."""
+    """int sqrt(1 + z_x^2 + z_y^2) by TRI6's rule and by 40 parts: (1 / 40)^2 / 10 apart."""
     mesh = curved_triangles()
     tangents = np.einsum("fni,qnj->fqij", mesh.points[mesh.inner_faces], TRI6.slopes)
     normal = np.cross(tangents[..., 0], tangents[..., 1])
@@ -320,7 +322,7 @@ def test_triangles_of_six_node_faces_have_the_surfaces_area():
 
 
 def test_another_wall_may_be_sampled(quarter):
-    """The outer one: its vertices are at the outer radius, to the parabola's sagitta a^4 / 8."""
+    """Vertices of the outer wall are at its radius, within the parabola's sagitta a^4 / 8."""
     sampling, _ = triangulated(quarter, quarter.outer_faces)
     vertices = sampling @ quarter.points
     outer = TUBE.outer_diameter / 2
@@ -329,7 +331,10 @@ def test_another_wall_may_be_sampled(quarter):
 
 
 def test_pressure_of_a_gap_is_that_between_level_plates():
-    """Of one side 1 in 8 by 8 squares; weights of the pairs add up to half as much, or nothing."""
+    """Plates of side 1 in 8 by 8 squares.
+
+    The weights of the pairs of nodes, edges and faces do not add up to one exactly: 0.9 to 1.7.
+    """
     n, distance, modulus = 9, 2.5e-3, 1.0
     x, z = (part.ravel() for part in np.meshgrid(*[np.linspace(0, 1, n)] * 2, indexing="ij"))
     number = np.arange(n * n).reshape(n, n)

@@ -34,7 +34,7 @@ def sensor():
 
 @pytest.fixture(scope="module")
 def plane():
-    """A sensor of the plane wave alone, at 10 kHz."""
+    """A sensor with the plane wave only, at 10 kHz."""
     frequency, depth = np.arange(7e3, 13e3, 50.0), np.arange(1e-3, 7.01e-3, 0.25e-3)
     s = matrices(depth, frequency)[:, :, :, :1, :, :1]
     low = tool(0.25e-3, modes=("00",), s=s, frequency=frequency)
@@ -46,7 +46,7 @@ def plane():
 
 @pytest.fixture(scope="module")
 def free():
-    """The untouched tube over the bands of the presses, as of a press of no scattering."""
+    """The untouched tube over the bands of the presses, as with a press without scattering."""
     placed = press(1e-3, 0.5)
     s = np.zeros_like(placed.scattering.s)
     for mode in range(3):
@@ -62,9 +62,9 @@ def free():
      [(1.31, 3.3e-3), (0.44, 6.1e-3), (0.71, NODE)]],
 )  # fmt: skip
 def test_cycle_at_the_librarys_depths_is_that_of_the_full_chain(sensor, free, contacts):
-    """With multiple reflections of all modes, clutter and the far end, contacts in any order.
+    """Includes multiple reflections of all modes, clutter and the far end; contacts in any order.
 
-    The band leaves out 5e-5 of the energy, a part 0.7 % of amplitude, and tapers as much again.
+    The band leaves out 5e-5 of the energy, 0.7 % in amplitude, and its taper as much again.
     """
     given = [Contact(place=z, depth=d) for z, d in contacts]
     exact, found = chain(given) - free, sensor.read(given) - sensor.read([])
@@ -73,8 +73,8 @@ def test_cycle_at_the_librarys_depths_is_that_of_the_full_chain(sensor, free, co
     assert np.abs(found - exact).max() < 0.02 * np.abs(exact).max()
 
 
-def test_contacts_are_not_told_by_single_scattering_alone(sensor, free):
-    """The far one's echo alone, and with a near one before it, differ by far more than 2 %."""
+def test_single_scattering_alone_is_not_sufficient(sensor, free):
+    """The sum of single echoes differs from that of both contacts by far more than 2 %."""
     near, far = Contact(place=0.44, depth=6.1e-3), Contact(place=0.81, depth=5.5e-3)
     alone = sensor.read([near]) + sensor.read([far]) - sensor.read([])
     both = chain([near, far])
@@ -82,7 +82,7 @@ def test_contacts_are_not_told_by_single_scattering_alone(sensor, free):
 
 
 def test_error_between_the_librarys_depths_is_the_stated_one(sensor):
-    """The tables' chords, at a tolerance ten times the library's own error, against its splines."""
+    """Linear tables at a tolerance ten times the library's error, against its splines."""
     coarse = TubeSensor(Library((tool(),)), QUIET, tube_seed=7, tolerance=0.01)
     assert len(coarse.tables.values) < len(sensor.tables.values)
     for depth in (1.23e-3, 3.456e-3, 6.78e-3):
@@ -99,7 +99,7 @@ def test_shallow_contacts_fade_to_the_untouched_tube(sensor):
         np.linalg.norm(sensor.read([Contact(place=0.6, depth=d)]) - free)
         for d in (0.0, 2e-4, 6e-4, 1e-3)
     ]
-    # Of two compiled sums in single precision, that of no contact and that of one of depth 0.
+    # The two are compiled apart in single precision: no contact, and a contact of depth 0.
     assert sizes[0] < 1e-3 * sizes[1]
     assert sizes[1] < sizes[2] < sizes[3]
 
@@ -119,14 +119,14 @@ def test_noise_and_rounding_are_those_of_the_rangefinder():
     found = sensor.read(contacts, cycle=4, seed=9)
     exact = chain(contacts, noisy, seed=9, first_cycle=4)
     assert found.dtype == np.uint16
-    # The same random numbers, on an echo of 2 % of error: most counts are the same.
+    # The random numbers are the same and the echo has an error of 2 %: most counts are the same.
     assert np.mean(found == exact) > 0.8
     assert np.abs(found - exact).max() <= 1
     arrays = np.full((600, 1), 0.8), np.full((600, 1), NODE)
     many = sensor.read_many(*arrays, seed=1)
     assert np.all(many == np.rint(many))
     quiet = sensor.read(contacts)
-    late = slice(3600, None)  # where there is no echo, half a count of rounding about the noise
+    late = slice(3600, None)  # without an echo: noise, and rounding of up to half a count
     per_volt = 2**noisy.bits / noisy.full_scale
     spread = many[:, late] - quiet[late]
     shift = spread.mean(axis=1, keepdims=True)
@@ -137,7 +137,7 @@ def test_noise_and_rounding_are_those_of_the_rangefinder():
 
 
 def test_batch_is_its_cycles(sensor):
-    """Over more than one compiled batch, in any order of contacts, some of them absent."""
+    """For several compiled batches, with contacts in any order and some of them absent."""
     rng = np.random.default_rng(1)
     places = rng.permuted(np.cumsum(rng.uniform(0.1, 0.7, (300, 2)), axis=1), axis=1)
     depths = rng.uniform(1e-3, 7e-3, (300, 2)) * (rng.random((300, 2)) < 0.8)
@@ -145,13 +145,13 @@ def test_batch_is_its_cycles(sensor):
     for i in (0, 17, 299):
         one = sensor.read([Contact(place=z, depth=d) for z, d in zip(places[i], depths[i],
                                                                       strict=True)])  # fmt: skip
-        # Single precision, of counts up to some 1e5 while the transducer rings.
+        # Single precision, with counts of up to some 1e5 during the ring-down.
         assert np.abs(many[i] - one)[800:].max() < 0.01
 
 
 @pytest.mark.slow
 def test_cycles_are_differentiable_and_compiled_once(plane):
-    """The derivatives of the echo at the carrier by place and depth, against differences."""
+    """Derivatives of the echo at the carrier by position and depth equal differences."""
     given = np.array([[0.8]], np.float32), np.array([[4.53e-3]], np.float32)
     sample = np.arange(4000)
     weight = np.sin(2 * np.pi * 0.05 * sample) * (sample > 900) * (sample < 1300)
@@ -168,7 +168,7 @@ def test_cycles_are_differentiable_and_compiled_once(plane):
             moved = list(given)
             moved[i] = given[i] + np.float32(sign * step)
             ends.append(float(value(plane.model, *moved)))
-        # Single precision, of counts up to some 1e5 that cancel.
+        # Single precision, with counts of up to some 1e5 that cancel.
         assert (ends[1] - ends[0]) / (2 * step) == pytest.approx(float(slopes[i][0, 0]), rel=0.02)
     assert value._cache_size() == 1
 
@@ -246,10 +246,10 @@ def test_library_of_another_band_or_kind_is_refused():
 
 
 def test_one_mode_alone_serves_below_the_first_cut_on(plane):
-    """An audio band, in warmer air than the library's."""
+    """A drive in the audio band, in air that is warmer than the library's."""
     echo = np.abs(plane.read([Contact(place=1.5, depth=5e-3)]) - plane.read([]))
     start = 2 * 1.5 / air_at(30.0).sound_speed
-    # A tenth of the burst's rise to its top, and nothing before.
+    # A tenth of the burst's maximum is reached in its rise, and not before.
     first = np.argmax(echo > 0.1 * echo.max()) / plane.rangefinder.sampling_rate
     assert start - 0.1e-3 < first < start + 0.5e-3
 
@@ -272,10 +272,10 @@ def test_tables_hold_reciprocal_and_mirrored_coefficients_once(sensor):
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the largest resident set from /proc")
 def test_process_with_a_sensor_takes_under_500_mb(tmp_path):
-    """One sensor, a cycle alone and 512 at once, with noise; 430 to 475 MB when this was written.
+    """One sensor, a cycle alone and 512 at once, with noise; measured 430 to 475 MB.
 
-    In a process of its own, from arrays: that of the tests has loaded much more. One of four at
-    most: in some, the threads of XLA's compiler keep up to 60 MB more, as they happen to allocate.
+    In its own process, from arrays: that of the tests has loaded much more. The least of up to four
+    is taken: in some, the threads of XLA's compiler hold up to 60 MB more.
     """
     arrays = dataclasses.asdict(tool())
     np.savez(tmp_path / "tool.npz", **arrays)

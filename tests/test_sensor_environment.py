@@ -1,4 +1,4 @@
-"""The environment of gymnasium over the fast sensor; without the package, one sentence."""
+"""The gymnasium environment of the fast sensor; without the package, one sentence."""
 
 import sys
 

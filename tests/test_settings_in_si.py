@@ -1,4 +1,4 @@
-"""What a user types becomes SI units in one place."""
+"""Users' settings are converted to SI units in one place."""
 
 import ast
 import dataclasses

@@ -20,7 +20,7 @@ def clock(rate=2e6, duration=3e-3):
 
 
 def pulse(time, centre, duration=DURATION):
-    """Return an 11-cycle sine under a Gaussian that has fallen to 1 % where it is cut."""
+    """Return an 11-cycle sine under a Gaussian that has decayed to 1 % where it is cut."""
     envelope = np.exp(-0.5 * ((time - centre) / (duration / 6)) ** 2)
     inside = np.abs(time - centre) < duration / 2
     return np.where(inside, envelope, 0.0) * np.sin(2 * np.pi * CARRIER * (time - centre))
@@ -33,7 +33,7 @@ def sent_and_returned(time, height=0.1, returned=RETURNED):
 
 @pytest.mark.parametrize(("rate", "bias"), [(200e3, 0.3), (2e6, 0.1), (4e6, 0.03)])
 def test_delay_is_exact_at_every_sub_sample_offset(rate, bias):
-    # What remains is the aliasing of the rectified carrier's overtones, see signals.process.
+    # The error is aliasing of the overtones of the rectified carrier, see signals.process.
     time = clock(rate)
     offsets = np.linspace(0, 1, 41) / rate
     cycles = np.stack([sent_and_returned(time, returned=RETURNED + o) for o in offsets])

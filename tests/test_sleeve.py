@@ -1,4 +1,4 @@
-"""The sleeve: helices against closed forms, layouts against their geometry."""
+"""The sleeve: helices against closed forms, and layouts against their geometry."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ ASKEW = Frame(
 
 
 def arc_by_quadrature(helix):
-    """The helix's length by adaptive quadrature of the sleeve paper's density."""
+    """The helix's length by adaptive quadrature of the arc density in the sleeve paper."""
     rho = 2 * np.pi * helix.loops / helix.length
     return quad(
         lambda z: np.sqrt(1 + helix.taper**2 + (rho * (helix.radius + helix.taper * z)) ** 2),
@@ -46,7 +46,7 @@ def test_arc_length_of_a_cone_is_that_of_adaptive_quadrature(taper):
 
 
 def test_arc_length_converges_with_second_order():
-    # A slender cone, on which the density bends: around a forearm rounding is soon reached.
+    # A slender cone, whose arc density is curved: on a forearm the error soon is rounding.
     shape = {"radius": 0.01, "taper": 0.5, "length": 0.25, "loops": 1}
     exact = arc_by_quadrature(Helix(**shape))
     errors = [abs(Helix(**shape, intervals=n).table[1, -1] - exact) for n in (20, 40, 80)]
@@ -63,7 +63,7 @@ def test_distance_to_place_and_back_is_the_same_to_a_hundredth_of_a_millimetre(h
         assert np.all(found.tube == number)
         assert np.max(np.abs(found.distance - distance)) < 1e-5
         assert np.max(found.gap) < 1e-9
-        # The next loop is the other tube's, half a pitch on: as far as the tubes are apart.
+        # The next loop is the other tube's, half a pitch further: at the spacing of the tubes.
         assert np.all(found.next_tube == 1 - number)
         middle = np.abs(distance - distance.mean()) < 0.3
         assert found.next_gap[middle] == pytest.approx(spacing(tubes), rel=0.02)
@@ -80,7 +80,7 @@ def test_places_off_the_tubes_find_the_nearest_of_many_points_along_them():
         np.linalg.norm(places[:, None] - tube.place(along), axis=-1).min(axis=1) for tube in tubes
     ]
     found = nearest(tubes, places)
-    # The points are 0.28 mm apart: at 6 mm from the tube, up to 2 um farther than the foot.
+    # The points are 0.28 mm apart: at 6 mm from the tube, up to 2 um farther than the nearest one.
     assert found.gap == pytest.approx(np.min(brute, axis=0), abs=2e-5)
     assert np.all(found.gap <= np.min(brute, axis=0) + 1e-12)
     assert np.all(found.next_gap >= found.gap)
@@ -93,7 +93,7 @@ def test_distances_in_the_lead_and_beyond_the_end_have_no_place():
 
 
 def test_spread_around_a_cylinder_has_the_moments_of_a_wrapped_normal():
-    """Of a normal angle with deviation s, the mean of cos is exp(-s^2/2)."""
+    """For a normal angle with standard deviation s the mean of cos is exp(-s^2/2)."""
     helix = Helix(radius=0.04, length=0.5, loops=18)
     distance, deviation = helix.tube_length / 2, 0.05
     step = deviation / helix.density(0.0)
@@ -122,7 +122,7 @@ def test_curvature_and_torsion_are_those_of_the_curve():
 
 
 def test_coverage_of_a_cylinder_is_the_width_of_the_strip_over_the_pitch():
-    # Strips of 2 x 5 mm beside a tube of 60 mm pitch, to the straightness of the skin there.
+    # Strips of 2 x 5 mm beside a tube of 60 mm pitch; up to the curvature of the skin.
     (tube,) = tubes = [Helix(radius=0.05, length=0.6, loops=10, lead=0.15)]
     found = layout(tubes, within=5e-3, reach=10)
     assert found.skin_area == pytest.approx(2 * np.pi * 0.05 * 0.6, rel=1e-6)
@@ -134,7 +134,7 @@ def test_coverage_of_a_cylinder_is_the_width_of_the_strip_over_the_pitch():
 
 
 def test_a_dead_zone_on_the_arm_is_the_skin_nearest_to_it():
-    """Unrolled: half a pitch above it, what lies below it, and a parabola around its start."""
+    """Unrolled: half a pitch above the tube, the skin below it, and a parabola around its start."""
     (tube,) = tubes = [Helix(radius=0.05, length=0.6, loops=10)]
     pitch, below = 0.06, 0.15 / 2 / tube.density(0.0)
     area = 0.15 * (pitch / 2 + below) + pitch**2 / 3
@@ -190,7 +190,7 @@ def test_places_of_another_shape_and_no_tube_are_refused():
 
 
 def test_flattened_bore_moves_the_cut_ons_as_its_own_eigenvalues_do():
-    """By Ritz's method in the ellipse, with the circle's modes stretched to it."""
+    """By Ritz's method in the ellipse, with the modes of the circle stretched to it."""
     zeta = 0.02
     a, b = 1 - zeta, 1 + zeta
     bore = bore_modes(30.0)

@@ -1,4 +1,4 @@
-"""The command `acoustube sleeve`: what it writes, says and refuses."""
+"""The command `acoustube sleeve`: its files, output and refusals."""
 
 import csv
 import subprocess
@@ -17,7 +17,7 @@ FOREARM = ["--forearm", "25", "17", "26"]
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """A machine on which VTK ends the process."""
+    """A machine on which VTK ends its process."""
 
     def dies(command, **_):
         raise subprocess.CalledProcessError(-11, command)
@@ -103,7 +103,7 @@ def test_picture_shows_every_part():
         markers=np.full((3, 3), np.nan),
     )
     plotter = sleeve_scene.render(picture)
-    # The arm; of each tube its dead part, the rest and the lead; of each contact two things.
+    # The arm; for each tube its dead part, the rest and the lead; for each contact two objects.
     assert len(plotter.renderer.actors) >= 1 + 2 * 3 + 2 * 2
     low, high = np.reshape(plotter.bounds, (3, 2))[2]
     assert low < -0.02

@@ -16,7 +16,7 @@ NOISE = 0.01
 
 
 def noisy(random, places, *, heard=0.9, clutter=0.1):
-    """Candidates of one cycle: places missed now and then, and sometimes an echo of nothing."""
+    """Candidates of one cycle: some positions are missing, and some echoes are false."""
     places = np.asarray(places, float)
     seen = places[random.random(len(places)) < heard] + 0.0
     false = random.uniform(0.15, 2.15, random.poisson(clutter))
@@ -24,7 +24,7 @@ def noisy(random, places, *, heard=0.9, clutter=0.1):
 
 
 def followed(tracker, cycles, far=None):
-    """What the tracker says of each cycle."""
+    """The tracker's estimates for each cycle."""
     far = far or [()] * len(cycles)
     return [
         tracker.update(CYCLE * i, near, f)
@@ -40,7 +40,7 @@ def test_swipe_of_5_cm_per_second_is_one_contact_with_its_speed():
     assert all(0 in cycle.number for cycle in late)
     place = np.array([cycle.place[cycle.number == 0][0] for cycle in late])
     speed = np.array([cycle.speed[cycle.number == 0][0] for cycle in late])
-    # Better than the candidates' own 10 mm.
+    # Better than the 10 mm of the candidates.
     assert np.sqrt(np.mean((place - true[20:]) ** 2)) < 0.6 * NOISE
     assert np.mean(speed) == pytest.approx(0.05, abs=0.01)
 
@@ -57,7 +57,7 @@ def test_two_presses_20_cm_apart_keep_their_numbers():
 
 
 def test_stated_deviation_is_that_of_the_error():
-    """Normalised errors squared have a mean of one, if the filter knows what it does not know."""
+    """Squared errors over stated variances have a mean of one if the filter's model is right."""
     squares = []
     for seed in range(60):
         random = np.random.default_rng(seed)
@@ -72,7 +72,7 @@ def test_stated_deviation_is_that_of_the_error():
     assert np.mean(squares) == pytest.approx(1, abs=0.55)
 
 
-def test_clutter_alone_makes_few_contacts_and_released_ones_end():
+def test_clutter_alone_gives_no_contacts_and_released_ones_end():
     random = np.random.default_rng(2)
     contacts = followed(ContactTracker(), [noisy(random, []) for _ in range(400)])
     assert sum(len(cycle.number) for cycle in contacts) == 0
@@ -82,7 +82,7 @@ def test_clutter_alone_makes_few_contacts_and_released_ones_end():
     assert left == [1] * 7 + [0] * 3
 
 
-def test_both_ends_know_a_contact_better_and_find_the_one_behind():
+def test_both_ends_reduce_the_error_and_detect_the_press_behind():
     random = np.random.default_rng(3)
     length, cycles = 2.4, 200
     near = [noisy(random, [0.7]) for _ in range(cycles)]
@@ -103,7 +103,7 @@ def test_both_ends_know_a_contact_better_and_find_the_one_behind():
 
 
 def test_swipe_along_the_arm_is_followed_across_loops():
-    """A fingertip crosses a loop every half second; the arm's coordinate goes on evenly."""
+    """A fingertip crosses a loop every half second; the arm's coordinate changes steadily."""
     random = np.random.default_rng(4)
     helix = Helix(radius=0.033, taper=0.06, length=0.25, loops=9, lead=0.15)
     height = 0.03 + 0.05 * CYCLE * np.arange(70)
@@ -112,7 +112,7 @@ def test_swipe_along_the_arm_is_followed_across_loops():
     jumps = np.abs(np.diff(beside.distance))
     assert np.max(jumps) > 0.2
     distance = beside.distance + random.normal(0, 0.02, len(height))
-    # Within a loop the reading stands still: half a pitch is the coordinate's own uncertainty.
+    # Within a loop the reading is constant: the coordinate is uncertain by half a pitch.
     tracker = ContactTracker(TrackingSettings(deviation=0.4 * helix.pitch, acceleration=0.1))
     contacts = followed(tracker, [[z] for z in helix.height(distance)])
     assert all(cycle.number.tolist() == [0] for cycle in contacts[5:])
@@ -127,13 +127,13 @@ def test_swipe_along_the_arm_is_followed_across_loops():
         ({0.616: 1.0, 0.716: 0.5}, [0.616]),  # trapped sound behind it
         ({0.616: 1.0, 0.716: 2.5}, [0.616, 0.716]),  # too high for that
         ({0.616: 1.0, 0.816: 0.08}, [0.616, 0.816]),  # another press
-        ({0.6: 1.0, 0.8: 0.3, 1.01: 0.1}, [0.6, 0.8]),  # 2 x 0.8 - 0.6, to and fro
-        ({0.6: 1.0, 0.8: 0.1, 1.01: 0.2}, [0.6, 0.8, 1.01]),  # higher than what would make it
+        ({0.6: 1.0, 0.8: 0.3, 1.01: 0.1}, [0.6, 0.8]),  # 2 x 0.8 - 0.6, a repeated reflection
+        ({0.6: 1.0, 0.8: 0.1, 1.01: 0.2}, [0.6, 0.8, 1.01]),  # higher than the reflected one
         ({0.6: 1.0, 0.8: 0.3, 1.1: 0.1}, [0.6, 0.8, 1.1]),
         ({np.nan: 1.0}, []),
     ],
 )
-def test_echoes_that_another_one_explains_are_no_contacts(echoes, own):
+def test_ghost_echoes_are_removed(echoes, own):
     places, heights = np.array(list(echoes)), np.array(list(echoes.values()))
     for order in (slice(None), slice(None, None, -1)):
         np.testing.assert_allclose(remove_ghost_echoes(places[order], heights[order]), own)
@@ -149,7 +149,7 @@ def test_what_cannot_be_followed_is_refused():
 
 
 def test_swipe_beside_a_press_is_followed_from_raw_cycles():
-    """200 kHz cycles through the processing of recordings; its candidates through the tracker."""
+    """Cycles at 200 kHz are processed like recordings, and their candidates are tracked."""
     random = np.random.default_rng(6)
     at = np.arange(4000) / 200e3
     pulse, c = Pulse(frequency=42e3, cycles=11), sound_speed(20.0)

@@ -1,4 +1,4 @@
-"""Markers: what is read of them, what is fitted to them, and what is refused."""
+"""Markers of motion capture: reading, fitting and refusals."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def columns(random=None, *, n=8, noise=0.5e-3, tilted=True):
 
 
 def true_line(arm, tilted):
-    """The cone's radius at the height where the fitted z = 0 lies, and its taper."""
+    """Radius of the cone at the height of the fitted z = 0, and its taper."""
     start = (arm.frame.origin - PLACE) @ TILT[:, 2] if tilted else arm.frame.origin[2]
     return np.array([RADIUS + TAPER * start, TAPER])
 
@@ -47,7 +47,7 @@ def test_intervals_hold_the_cone_in_95_of_100_trials(tilted):
         low, high = arm.lines[0].interval().T
         true = true_line(arm, tilted)
         held += (low <= true) & (true <= high)
-    # What 200 trials of a chance of 0.95 give in all but one of a thousand cases.
+    # Limits of the binomial distribution of 200 trials at 0.95, at the level of 0.1 %.
     fewest, most = binom.ppf([5e-4, 1 - 5e-4], trials, 0.95)
     assert np.all((fewest <= held) & (held <= most))
 
@@ -128,7 +128,7 @@ def short_by_gaps():
         (columns, "y", ["axis = 'y'"]),
     ],
 )  # fmt: skip
-def test_markers_that_tell_no_arm_are_refused(points, axis, words):
+def test_markers_that_do_not_define_an_arm_are_refused(points, axis, words):
     with pytest.raises(ConfigError) as refusal:
         fit_arm(*points(), axis=axis)
     for word in words:
@@ -140,7 +140,7 @@ def table(path, rows, header="column,marker,x_mm,y_mm,z_mm"):
     return path
 
 
-def test_tables_tell_units_frames_and_gaps(tmp_path):
+def test_tables_state_units_frames_and_gaps(tmp_path):
     rows = ["A,A1,1,2,3", "A,A1,3,2,3", "A,A1,2,2,99", "A,A2,,,", "B,B1,4,5,6", "B,B2,7,8,9"]
     markers = read_markers(table(tmp_path / "m.csv", rows))
     assert markers.first[0] == pytest.approx([2e-3, 2e-3, 3e-3])

@@ -1,4 +1,4 @@
-"""Small systems in JAX, and what is compiled of the expressions that solve them."""
+"""Small linear systems in JAX, and the compiled code of expressions that solve them."""
 
 import jax
 import numpy as np
@@ -26,7 +26,7 @@ def test_solutions_are_those_of_lapack(n):
 
 @pytest.mark.usefixtures("double_precision")
 def test_no_batched_factorisation_waits_in_the_pool_of_threads():
-    """Two at once would wait for each other for ever where the pool has two threads."""
+    """Two at once would wait for each other for ever if the pool has two threads."""
     known = information([analytic()], contacts(np.array([0.5]), np.array([10.0])))
     one = prediction.electronics_of(Rangefinder())
     many = prediction.Electronics(*(np.full(3, number) for number in one))

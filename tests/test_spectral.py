@@ -1,4 +1,4 @@
-"""Scattering from the spectral solver."""
+"""Scattering by the spectral solver, against an independent solution and closed forms."""
 
 from functools import cache
 from pathlib import Path
@@ -23,8 +23,8 @@ CASES = {"A": (0.30, 12e-3), "E": (0.40, 8e-3)}
 KIRCHHOFF = 0.533286, 1.07123, 1.57711, 1.91734
 """Attenuation in Np/m of the plane mode at 5, 20, 42 and 60 kHz in a bore of 3.95 mm radius."""
 REFERENCE = Path(__file__).parent / "data" / "spectral_reference.csv"
-"""Of an independent spectral solution with exact modal ends, which agrees with quintic finite
-elements (NGSolve) to 3e-7; frequencies over 8 kHz, all cut-ons among them."""
+"""File of an independent spectral solution with exact modal ends, which agrees with quintic finite
+elements (NGSolve) to 3e-7; frequencies above 8 kHz, including all cut-ons."""
 
 
 def shape(case, turned=0.0, deeper=0.0):
@@ -78,7 +78,7 @@ def plane(found):
 
 @pytest.mark.parametrize("case", ["A", "E"])
 def test_plane_mode_scatters_as_in_independent_solution(case):
-    """Cut-ons and the trapped mode of A at 42.2 kHz included."""
+    """The frequencies include the cut-ons and the trapped mode of A at 42.2 kHz."""
     _, reflected, passed = reference(case)
     found = plane(solved(case))
     error = np.maximum(np.abs(found[0] - reflected), np.abs(found[1] - passed))
@@ -90,13 +90,13 @@ def test_estimated_error_bounds_that_against_independent_solution(case):
     _, reflected, passed = reference(case)
     found = plane(solved(case))
     error = np.maximum(np.abs(found[0] - reflected), np.abs(found[1] - passed))
-    # The reference is printed with seven digits.
+    # The reference has seven digits.
     assert np.all(error < solved(case).error + 2e-6)
     assert solved(case).error.max() < 1e-4
 
 
 def test_richer_basis_changes_no_coefficient_by_more_than_estimated():
-    """All modes, also those antisymmetric about x = 0, of lumen E."""
+    """For all modes of lumen E, including those antisymmetric about x = 0."""
     frequency = np.arange(8e3, 60.1e3, 5.2e3)
     found, richer = (
         scattered(wall("A"), frequency, tolerance=tolerance) for tolerance in (1e-2, 1e-4)
@@ -106,8 +106,8 @@ def test_richer_basis_changes_no_coefficient_by_more_than_estimated():
     assert np.all(change < found.error + richer.error)
 
 
-def test_error_of_too_few_shifts_to_begin_with_is_found_wherever_it_is(monkeypatch):
-    """What one more shift changes elsewhere says nothing of the error there."""
+def test_error_of_too_few_initial_shifts_is_corrected_at_all_frequencies(monkeypatch):
+    """The effect of one more shift elsewhere says nothing about the error at a frequency."""
     frequency = np.arange(8e3, 60.05e3, 200.0)
     monkeypatch.setattr(first_basis, "FIELDS_PER_WAVE", {False: 1e-3})
     monkeypatch.setattr(first_basis, "SPARE_SHIFTS", {False: 1})
@@ -119,7 +119,7 @@ def test_error_of_too_few_shifts_to_begin_with_is_found_wherever_it_is(monkeypat
 
 
 def test_modes_of_linearly_dependent_functions_are_those_of_their_span():
-    """Third function: the sum of the first two, but for rounding, which leaves M indefinite."""
+    """The third function is the sum of the first two, up to rounding, which makes M indefinite."""
     span = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
     stiffness, mass = np.diag([2.0, 12.0]), np.diag([1.0, 3.0])
     lack = np.diag([0.0, 0.0, -1e-14])
@@ -132,7 +132,7 @@ def test_modes_of_linearly_dependent_functions_are_those_of_their_span():
 
 
 def response(degree, order, n_elements, frequency=41e3):
-    """S of lumen A at one frequency from one basis, and what it is estimated to lack."""
+    """S of lumen A at one frequency from one basis, and its estimated error."""
     edges = np.concatenate([np.linspace(0, 12e-3, n_elements + 1), [14e-3]])
     k = 2 * np.pi * np.array([frequency]) / AIR.sound_speed
     system = discretise(wall("A"), edges, degree, order, False, float(2 * np.pi * 6e4 / 343.2))
@@ -171,7 +171,7 @@ def test_error_falls_with_the_elements_and_is_estimated_within_a_factor():
 
 
 def test_lumen_without_mirror_plane_scatters_the_plane_mode_as_before_it_was_turned():
-    """Lumen A turned by 25 degrees about its axis: all modes are then solved for at once."""
+    """Lumen A is turned by 25 degrees about its axis, so that all modes are solved for together."""
     frequency = np.array([20e3, 35e3, 47e3])
     turned = scattered(wall("A", 0.4363), frequency)
     straight = scattered(wall("A"), frequency)
@@ -180,7 +180,7 @@ def test_lumen_without_mirror_plane_scatters_the_plane_mode_as_before_it_was_tur
     pair = slice(1, 3)
     power = [(np.abs(s.s[:, 1, pair, 0, 0]) ** 2).sum(axis=-1) for s in (turned, straight)]
     np.testing.assert_allclose(*power, atol=2e-5)
-    # And it does turn the pair.
+    # The pair of modes is coupled by the turn.
     assert abs(turned.s[2, 1, 2, 0, 0]) > 0.2
 
 
@@ -192,7 +192,7 @@ def test_lumen_that_counts_as_not_reversible_scatters_as_by_halves():
 
 
 def rings(case, n_rings=97, n_around=120, deeper=0.0):
-    """A lumen of rings as a press leaves it: the pressed part between round rings."""
+    """A lumen of rings as a press leaves it: the deformed part between round rings."""
     w = CASES[case][1]
     z = np.concatenate([[-40e-3, -w], np.linspace(-w, w, n_rings)[1:-1], [w, 40e-3]])
     t = 2 * np.pi * np.arange(n_around) / n_around
@@ -207,7 +207,7 @@ def rings(case, n_rings=97, n_around=120, deeper=0.0):
 def test_lumen_of_rings_scatters_as_its_formula():
     frequency, reflected, passed = (part[::4] for part in reference("E"))
     found = plane(scattered(spectral.wall_of(rings("E")), frequency, symmetric_only=True))
-    # The rings end in a corner: half a millimetre of cone where the formula is smooth.
+    # The rings end in a corner: half a millimetre is a cone where the formula is smooth.
     np.testing.assert_allclose(found, (reflected, passed), atol=2e-4)
 
 
@@ -266,7 +266,7 @@ def straight(radius, half_length):
 
 
 def plane_wavenumber(radius, half_length, frequency, air=AIR):
-    """Of the plane mode, from what two lengths of a straight tube pass on."""
+    """Wavenumber of the plane mode, from the transmission of straight tubes of two lengths."""
     short, long = (
         spectral.scatter_spectral(
             straight(radius, part), air, frequency, reference=(-part, part), symmetric_only=True
@@ -277,10 +277,10 @@ def plane_wavenumber(radius, half_length, frequency, air=AIR):
 
 
 def test_paper_bore_attenuates_as_kirchhoffs_equation_says():
-    """Kirchhoff's equation to 40 digits, less the absorption in the bulk that is in it.
+    """The reference is Kirchhoff's equation to 40 digits, less its absorption in the bulk.
 
-    Zwikker and Kosten, who take the pressure as even over the section, lie 0.3 % lower at 20 kHz
-    and 1.6 % at 60 kHz. Prandtl's number 0.70520337.
+    Zwikker and Kosten, who assume a uniform pressure over the section, are 0.3 % lower at 20 kHz
+    and 1.6 % at 60 kHz. Prandtl's number is 0.70520337.
     """
     air = Air(sound_speed=343.2, density=1.204, viscosity=1.8133e-5, prandtl=0.70520337)
     frequency = np.array([5e3, 20e3, 42e3, 60e3])
@@ -295,7 +295,7 @@ def test_paper_bore_attenuates_as_kirchhoffs_equation_says():
     ("radius", "half_length", "frequency", "accuracy"),
     [
         (0.5e-3, 0.6e-3, [5e3, 20e3, 60e3], 3e-3),
-        # Nine viscous layers across.
+        # The bore is nine viscous layers wide.
         (0.1e-3, 0.3e-3, [5e3, 20e3, 60e3], 3e-3),
     ],
 )
@@ -314,18 +314,18 @@ def test_losses_vanish_with_the_viscosity():
     thin = Air(sound_speed=343.2, density=1.204, viscosity=1.8e-13)
     nearly = spectral.scatter_spectral(wall("E"), thin, frequency, symmetric_only=True)
     without = scattered(wall("E"), frequency, symmetric_only=True)
-    # Layers 1e4 times thinner than in air.
+    # The layers are 1e4 times thinner than in air.
     np.testing.assert_allclose(nearly.s, without.s, atol=1e-5)
 
 
 def test_slit_and_tube_fill_with_their_layers_as_their_closed_forms():
-    """Shares of the layer that are there: limits D << h and h << D, and Zwikker and Kosten's."""
+    """The share of the boundary layer: limits D << h and h << D, and Zwikker and Kosten's form."""
     thickness = np.array(1e-5 * np.exp(-0.25j * np.pi))
     wide, narrow = np.array(1e-2), np.array(1e-7)
     for roundness in (0.0, 1.0):
         f = layers.filling(wide, np.array(roundness), thickness)
         np.testing.assert_allclose(f, 1 - roundness * thickness / wide, rtol=1e-5)
-        # What is left of the air's section: h - 2 f D of a slit, 1 - 4 f D / h of a tube, vanishes.
+        # The free section, h - 2 f D of a slit and 1 - 4 f D / h of a tube, vanishes.
         f = layers.filling(narrow, np.array(roundness), thickness)
         left = 1 - (2 + 2 * roundness) * f * thickness / narrow
         slowed = (narrow / (2 * thickness)) ** 2 / (3 if roundness == 0 else 8)
@@ -333,7 +333,7 @@ def test_slit_and_tube_fill_with_their_layers_as_their_closed_forms():
 
 
 def test_losses_of_narrow_gaps_are_functions_of_their_own():
-    """Those of wide gaps come first; of the others, wide gaps have none."""
+    """The functions of wide gaps come first; wide gaps have no part in the others."""
     width = np.geomspace(2e-5, 8e-3, 200)
     thickness = layers.layer_thickness(np.geomspace(8e3, 6e4, 5), AIR)[0][:, None]
     both = layers.filling(width, np.zeros(1), thickness)
@@ -348,7 +348,7 @@ def test_losses_of_narrow_gaps_are_functions_of_their_own():
 
 
 def test_greatest_circle_in_an_ellipse_is_that_of_curvature_at_its_tips():
-    """Half axes 3 and 0.2 mm: b^2 / a at the tips, b at the flat sides."""
+    """An ellipse with half axes 3 and 0.2 mm: b^2 / a at the tips, b at the flat sides."""
     a, b = 3e-3, 0.2e-3
 
     def lines(z, t):

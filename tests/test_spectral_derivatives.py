@@ -18,10 +18,10 @@ from acoustube.waves.spectral import lossy as lossy_fields
 FREQUENCY = np.array([12e3, 30e3, 41e3, 56e3])
 LEAD = partition.LEAD
 TOLERANCE = 1e-5
-"""Relative to the largest derivative of each frequency; most agree within 1e-6."""
+"""Tolerance relative to the largest derivative at each frequency; most agree within 1e-6."""
 STEP = 1e-3
-"""Of differences of the fourth order: halved or doubled, it changes them by 6e-7 at most where the
-bore changes by 0.5 % at 56 kHz, 0.5 kHz below a cut-on, and by 1e-7 elsewhere."""
+"""Step of differences of the fourth order: halved or doubled, it changes them by 6e-7 at most where
+the bore changes by 0.5 % at 56 kHz, 0.5 kHz below a cut-on, and by 1e-7 elsewhere."""
 
 
 def scattered(of, *, lossy, frequency=FREQUENCY, **options):
@@ -31,10 +31,10 @@ def scattered(of, *, lossy, frequency=FREQUENCY, **options):
 
 
 def differences(wall_at, step, **options):
-    """Return central differences of S of the fourth order, of the derivative's initial degree.
+    """Return central differences of S of the fourth order, at the initial degree of the derivative.
 
-    With losses S lacks the corrections by higher degrees: from degree 8 to 10 it changes by 1e-5.
-    A direction that enters or leaves the span of the fields with losses between the walls would
+    With losses S then lacks the corrections by higher degrees: from degree 8 to 10 it changes by
+    1e-5. A direction that enters or leaves the span of the lossy fields between the walls would
     change S by 1e-8, and a small derivative by 2e-4 of it.
     """
 
@@ -53,7 +53,7 @@ def differences(wall_at, step, **options):
 
 
 def assert_alike(found, expected, tolerance):
-    """Relative to the largest of each frequency."""
+    """Compare derivatives relative to the largest one at each frequency."""
     size = np.abs(expected).max(axis=(1, 2, 3, 4), keepdims=True)
     np.testing.assert_allclose(found / size, expected / size, atol=tolerance)
 
@@ -61,7 +61,7 @@ def assert_alike(found, expected, tolerance):
 @pytest.mark.parametrize("lossy", [False, True])
 @pytest.mark.parametrize("case", ["A", "E"])
 def test_derivative_by_depth_is_that_of_differences(case, lossy):
-    """By the share h by which the lumen is pinched, all modes symmetric about x = 0."""
+    """By the share h by which the lumen is pinched, for all modes symmetric about x = 0."""
     w = CASES[case][1]
 
     def velocity(z, t):
@@ -79,9 +79,9 @@ def test_derivative_by_depth_is_that_of_differences(case, lossy):
 @pytest.mark.parametrize("lossy", [False, True])
 @pytest.mark.parametrize("case", ["A", "E"])
 def test_derivative_by_the_bore_is_that_of_differences(monkeypatch, case, lossy):
-    """All radii scaled alike: the modes of the ends, their cut-ons and their waves change too.
+    """All radii are scaled: the modes of the ends, their cut-ons and wavenumbers change too.
 
-    The differences have the ports at the same heights: with losses S changes with their places,
+    The differences keep the ports at the same heights: with losses S depends on their positions,
     its difference at 12 kHz by 2e-5.
     """
     w, lines = CASES[case][1], shape(case)
@@ -109,7 +109,7 @@ def test_derivative_by_the_bore_is_that_of_differences(monkeypatch, case, lossy)
 
 @pytest.mark.parametrize("lossy", [False, True])
 def test_derivative_by_the_bore_of_an_ellipse_is_that_of_differences(monkeypatch, lossy):
-    """Ends that are not round have numerical modes; those odd in x take part."""
+    """Ends that are not round have numerical modes; those odd in x are included."""
     w, lines = CASES["E"][1], shape("E")
     frequency = np.array([30e3, 41e3])
 
@@ -141,7 +141,7 @@ def test_derivative_by_the_bore_of_an_ellipse_is_that_of_differences(monkeypatch
 
 
 def test_motion_of_ends_with_two_modes_of_one_cut_on_is_refused():
-    """A round bore of which nobody says that it is round or symmetric: (1,1) exists twice."""
+    """A round bore, stated neither as round nor as symmetric, has (1,1) twice."""
     lines = shape("E")
     known = spectral.analytic_wall(lines, ends=(-CASES["E"][1], CASES["E"][1]), radius=RADIUS)
     unknown = replace(known, circular=False, symmetric=False)
@@ -155,7 +155,7 @@ def test_motion_of_ends_with_two_modes_of_one_cut_on_is_refused():
 
 @pytest.mark.parametrize("lossy", [False, True])
 def test_derivative_by_the_motion_of_rings_is_that_of_differences(lossy):
-    """A lumen as a press leaves it, moved as between two depths; a splined wall has corners."""
+    """A lumen as left by a press moves as between two depths; a wall of splines has corners."""
     frequency = np.array([20e3, 42e3, 56e3])
     shallow, deep = rings("E"), rings("E", deeper=0.02)
 
@@ -171,7 +171,7 @@ def test_derivative_by_the_motion_of_rings_is_that_of_differences(lossy):
 
 
 def test_reference_planes_beyond_the_ends_take_part_in_the_derivative_by_the_bore():
-    """A straight length of d on either side multiplies a mode by exp(-j kz d)."""
+    """A straight length d on either side multiplies a mode by exp(-j kz d)."""
     frequency, d, lines = np.array([30e3]), 5e-3, shape("A")
 
     def velocity(z, t):
@@ -183,7 +183,7 @@ def test_reference_planes_beyond_the_ends_take_part_in_the_derivative_by_the_bor
     there = scattered(wall("A"), reference=(-d, d), **options)
     transverse, k = (2 * np.pi * f / AIR.sound_speed for f in (here.cut_ons, frequency))
     kz = np.sqrt(k**2 - transverse**2)
-    # Of kz^2 = k^2 - kt^2, where kt is inverse to the radius.
+    # From kz^2 = k^2 - kt^2, where kt is inversely proportional to the radius.
     change = -1j * d * transverse**2 / kz
     turn = np.exp(-1j * kz * d)
     expected = np.einsum("a,paqb,b->paqb", turn, here.derivative[0], turn)
@@ -194,10 +194,10 @@ def test_reference_planes_beyond_the_ends_take_part_in_the_derivative_by_the_bor
 
 
 def test_derivative_of_walls_that_seal_is_that_of_differences():
-    """By the height of a gap of 16 um within the step from sealed to open, which moves too.
+    """By the height of a gap of 16 um, within the transition from sealed to open.
 
-    Within 1.2 %: beside a seal the field's error, and so that of its derivative, falls slowly with
-    the degree. With the seal held where it was, the derivative is 30 % off.
+    The tolerance is 1.2 %: beside a seal the error of the field, and so of its derivative, falls
+    slowly with the degree. With a fixed seal the derivative would be 30 % off.
     """
     frequency, sealing = np.array([12e3, 20e3, 30e3]), 17e-6
 
@@ -229,7 +229,7 @@ def test_motion_that_breaks_a_symmetry_of_the_wall_is_refused():
 
 
 def test_motion_about_one_place_needs_a_wall_that_counts_as_not_reversible():
-    """Its derivative is that of differences, though the wall is symmetric about its middle."""
+    """The derivative is that of differences, although the wall is symmetric about its middle."""
     w, lines = CASES["E"][1], shape("E")
 
     def bump(z):

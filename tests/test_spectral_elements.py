@@ -11,8 +11,8 @@ pytest.importorskip("skfem", reason="needs scikit-fem")
 def test_flattened_lumen_scatters_as_finite_elements_say():
     """Lumen A on meshes of 5 000 and 12 000 unknowns, extrapolated by their fourth order.
 
-    What that changes, 2e-6 at 10 and 1.6e-3 at 30 kHz, is twice the difference that is left: the
-    finer mesh alone is off by its dispersion along the tube.
+    The change by extrapolation, 2e-6 at 10 and 1.6e-3 at 30 kHz, is twice the remaining difference:
+    the finer mesh alone has an error of dispersion along the tube.
     """
     from lumen_elements import extrapolated
 

@@ -1,4 +1,4 @@
-"""What the estimate of the spectral solver's error rests on."""
+"""Parts of the spectral solver's error estimate."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def wrinkled(z, t):
 
 
 def test_wrinkles_of_the_wall_are_missed_by_one_degree_more_and_found_by_six():
-    """Against degree 13 along the same elements of 2.4 mm, which resolves them."""
+    """The reference is degree 13 on the same elements of 2.4 mm, which resolves the wrinkles."""
     wall = spectral.analytic_wall(wrinkled, ends=(-2.4e-3, 2.4e-3), radius=RADIUS, reversible=True)
     edges = np.array([0.0, 2.4e-3, 4.4e-3])
     coarse, fine = (discretise(wall, edges, 6, order, False, WAVENUMBER) for order in (7, 13))
@@ -39,12 +39,12 @@ def test_wrinkles_of_the_wall_are_missed_by_one_degree_more_and_found_by_six():
 
 
 def test_walls_pass_smoothly_from_sealed_to_open():
-    """The share is 1, 1/2 and 0 within `SEALING_WIDTH` of the sealing gap, and falls throughout."""
+    """The share is 1, 1/2 and 0 within `SEALING_WIDTH` of the sealing gap, and decreases."""
     gap, half = 20e-6, layers.SEALING_WIDTH / 2
     share = layers.sealing_weight(gap * np.array([0.0, 1 - half, 1.0, 1 + half, 5.0]), gap)
     assert_allclose(share, [1.0, 1.0, 0.5, 0.0, 0.0], atol=1e-12)
     around = layers.sealing_weight(gap * np.linspace(1 - 2 * half, 1 + 2 * half, 101), gap)
     assert np.all(np.diff(around[25:76]) < 0)
-    # No jump of the slope, as that of a linear ramp, which quadrature would not resolve.
+    # The slope has no jump, as that of a linear ramp would, which quadrature does not resolve.
     assert np.abs(np.diff(around, 2)).max() < 0.1 * np.abs(np.diff(around)).max()
     assert not layers.sealing_weight(gap * np.ones(3), 0.0).any()

@@ -17,7 +17,7 @@ FREQUENCY = np.array([5e3, 20e3, 42e3, 60e3])
 
 
 def wavenumber(duct, half_length, air, expected):
-    """Return that of the plane mode from two lengths of a duct, nearest to a known one."""
+    """Return the plane mode's wavenumber from two lengths of a duct, nearest to a known one."""
     short, long = (
         spectral.scatter_spectral(
             duct(length), air, FREQUENCY, reference=(-length, length), symmetric_only=True
@@ -45,7 +45,7 @@ def test_tube_attenuates_as_kirchhoffs_equation_says(bore):
 
 
 def rectangle(width, height, length, n=120):
-    """A straight rectangular duct, the points of its contour dense at its corners."""
+    """A straight rectangular duct, with contour points dense at the corners."""
 
     def side(n):
         return -np.cos(np.pi * np.arange(n) / n) / 2
@@ -69,7 +69,7 @@ def rectangle(width, height, length, n=120):
 
 @pytest.mark.parametrize("height", [20e-6, 100e-6, 1e-3])
 def test_slit_carries_the_plane_wave_as_its_closed_form_says(height):
-    """6 mm wide; at 20 um the layers of 5 kHz are thicker than the slit. Measured: 0.7 %."""
+    """The slit is 6 mm wide; at 20 um the layers at 5 kHz are thicker than it. Measured: 0.7 %."""
     expected = rectangular(FREQUENCY, 6e-3, height, AIR) - 1j * AIR.absorption(FREQUENCY)
     found = wavenumber(lambda length: rectangle(6e-3, height, length), 0.8e-3, AIR, expected)
     np.testing.assert_allclose(found.imag, expected.imag, rtol=1e-2)
@@ -86,7 +86,7 @@ def test_rectangular_duct_has_the_cut_ons_of_its_closed_form():
 
 
 def pressed_flat(least, half_length=0.5e-3, slope=4e-3):
-    """An ellipse of half heights down to `least`, which it keeps over a length, between slopes."""
+    """An ellipse that narrows to half heights of `least`, kept over a length, between slopes."""
 
     def lines(z, t):
         way = np.clip((np.abs(z) - half_length) / slope, 0, 1)
@@ -100,9 +100,10 @@ def pressed_flat(least, half_length=0.5e-3, slope=4e-3):
 
 
 def test_walls_that_are_pressed_together_pass_the_sound_of_a_lower_slit():
-    """A gap of 16 um over 1 mm lets 1.5e-3 and 2.3e-3 of the pressure through.
+    """A gap of 16 um over 1 mm transmits 1.5e-3 and 2.3e-3 of the pressure.
 
-    Far thinner than its viscous layers, its mean velocity is as the square of its height.
+    The gap is far thinner than its viscous layers, so that the mean velocity is as the square of
+    its height.
     """
     frequency = np.array([10e3, 20e3])
     options = {"symmetric_only": True, "tolerance": 1e-2}
@@ -118,7 +119,10 @@ def test_walls_that_are_pressed_together_pass_the_sound_of_a_lower_slit():
 
 
 def test_estimate_of_a_pressed_shut_lumen_holds_with_losses(monkeypatch):
-    """Against elements half as long, with four degrees more; without the poorer basis it fails."""
+    """The estimate exceeds the error, found with half as long elements and four degrees more.
+
+    Without the poorer basis of the estimate it would not.
+    """
     wall = replace(pressed_flat(8e-6), sealing_gap=20e-6)
     frequency = np.linspace(8e3, 30e3, 12)
     options = {"symmetric_only": True, "tolerance": 1e-2}
@@ -137,7 +141,7 @@ def test_estimate_of_a_pressed_shut_lumen_holds_with_losses(monkeypatch):
 
 
 def test_gap_much_lower_than_the_points_are_apart_has_its_own_height():
-    """A gap of 20 um, points 0.2 mm apart: by points alone it is up to 1.7 times as wide."""
+    """A gap of 20 um, points 0.2 mm apart: from points alone it is up to 1.7 times as wide."""
     a, b = 3e-3, 10e-6
 
     def lines(z, t):
@@ -163,7 +167,7 @@ def test_one_frequency_has_the_losses_of_a_band():
 
 
 def test_shifts_above_the_cut_ons_leave_the_regular_ones():
-    """One just below the top of the band, or below another, is left out; one between is added."""
+    """A shift near the top of the band or another is left out; one in between is added."""
     tube = straight(RADIUS, 5e-3)
     cut_on = 1.8411838 / RADIUS
     for top in (1.101, 1.11, 1.3, 1.5):

@@ -1,4 +1,4 @@
-"""Runs whose scattering matrix is the spectral solver's, on a lumen that needs no press."""
+"""Runs that use a scattering matrix of the spectral solver, for a lumen that needs no press."""
 
 import dataclasses
 
@@ -52,7 +52,7 @@ def test_budget_states_the_estimated_error(matrix):
 
 
 def test_run_warns_of_an_estimated_error_above_the_tolerance(monkeypatch, matrix):
-    """Of the solver's default tolerance, a typical error of 5 times that; and of none."""
+    """A warning at 5 times the default tolerance of the solver, and none within the tolerance."""
     for factor in (5.0, 0.5):
         error = np.full_like(matrix.error, factor * matrix.tolerance)
         known = dataclasses.replace(matrix, error=error)
@@ -67,7 +67,7 @@ def test_run_warns_of_an_estimated_error_above_the_tolerance(monkeypatch, matrix
 
 @pytest.mark.parametrize("change", ["unlike", "coarse"])
 def test_unsuitable_lumen_takes_the_time_domain_with_a_note(monkeypatch, change):
-    """The march itself is replaced: what counts is what it is given."""
+    """The march is replaced by a stub: only its arguments are checked."""
     lumen = rings("E")
     lumen.surface = None
     if change == "unlike":

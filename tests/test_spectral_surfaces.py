@@ -1,4 +1,4 @@
-"""Lumens for the spectral solver that are closed surfaces, or whose ends are not round."""
+"""Lumens for the spectral solver given as closed surfaces, or with ends that are not round."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +25,7 @@ def surface_of(rings):
 
 
 def pinched(case, turned=0.0, scale=1.0):
-    """Lumens A and E in facets, from z = 0; the pinch is in the middle."""
+    """Lumens A and E as facets, from z = 0; the pinch is in the middle."""
     w = CASES[case][1]
     z = np.concatenate([[-20e-3, -w], np.linspace(-w, w, 65)[1:-1], [w, 20e-3]])
     t = 2 * np.pi * np.arange(160) / 160
@@ -54,9 +54,9 @@ def d_bore(deeper=0.35):
 
 @pytest.mark.parametrize("turned", [0.0, 0.4])
 def test_surface_scatters_as_its_formula(turned):
-    """Facets of 160 to a turn: 1.3e-4 less area. With a turn, no symmetry is left."""
+    """160 facets around have 1.3e-4 less area. After the turn there is no symmetry left."""
     rings = rings_of_surface(pinched("E", turned), 20e-3)
-    assert rings.symmetric  # narrowed all round: so it stays when turned
+    assert rings.symmetric  # narrowed all round: symmetric after a turn as well
     rings = rings_of_surface(pinched("A", turned), 20e-3)
     assert rings.symmetric == (turned == 0.0)
     found = scattered(wall_of(rings), FREQUENCY)
@@ -66,7 +66,7 @@ def test_surface_scatters_as_its_formula(turned):
 
 
 def test_modes_of_any_section_are_those_of_a_round_bore_where_it_is_round():
-    """Lumen A with the modes of its ends found numerically, with losses."""
+    """Lumen A with numerical modes of its ends, with losses."""
     exact = scatter_spectral(wall("A"), AIR, FREQUENCY, symmetric_only=True)
     numerical = replace(wall("A"), circular=False)
     found = scatter_spectral(numerical, AIR, FREQUENCY, symmetric_only=True)
@@ -77,7 +77,7 @@ def test_modes_of_any_section_are_those_of_a_round_bore_where_it_is_round():
 
 
 def test_d_bore_has_the_cut_ons_of_its_grid():
-    """Against the eigenvalues of a grid of 48 cells across, whose error is about 2e-4."""
+    """Compared with eigenvalues on a grid of 48 cells across, whose error is about 2e-4."""
     surface = d_bore()
     found = scattered(wall_of(rings_of_surface(surface)), np.array([50e3]))
     grid = section_cut_ons(cut_cells(surface, 2 * RADIUS / 48), 1, AIR.sound_speed, 6)
@@ -129,7 +129,7 @@ def lumen_file():
 
 
 def test_command_writes_the_matrix_with_its_estimated_error(lumen_file):
-    """Reference planes at z = 0 of the file, which is the middle of the pinch."""
+    """The reference planes are at z = 0 of the file, the middle of the pinch."""
     result = run_here("scatter", lumen_file, *WORDS, "--method", "spectral", "--lossless")
     assert result.returncode == 0, result.stderr
     assert "estimated error of the coefficients" in result.stdout.replace("\n", " ")
@@ -143,7 +143,7 @@ def test_command_writes_the_matrix_with_its_estimated_error(lumen_file):
     np.testing.assert_allclose(np.abs(plane(found)), np.abs(plane(exact)), atol=3e-3)
 
 
-def test_command_marches_what_the_spectral_solver_cannot_take(lumen_file, monkeypatch):
+def test_command_marches_lumens_unsuitable_for_the_spectral_solver(lumen_file, monkeypatch):
     marched = scattered(wall("E"), 1e3 * np.arange(10.0, 31.0, 2.0), symmetric_only=True)
 
     def unsuitable(*_):

@@ -1,4 +1,4 @@
-"""What loading the package and asking for help costs, shell completion, and types for users."""
+"""Cost of loading the package and printing help, shell completion, and types for users."""
 
 import shutil
 import subprocess
@@ -14,7 +14,7 @@ FORBIDDEN = (
     "jax", "numpy", "scipy", "numba", "xarray", "pandas", "dask", "h5py", "matplotlib", "pyvista",
     "vtk", "trimesh", "ipctk", "sklearn", "pyarrow", "importlib.metadata",
 )  # fmt: skip
-"""Each takes longer to import than help to be printed; the last pulls in the e-mail package."""
+"""Modules that take longer to import than help to print; the last one loads the e-mail package."""
 OPTIONAL = (
     "pyarrow", "soundfile", "serial", "cobs", "ezc3d", "distributed", "pypardiso", "gymnasium",
 )  # fmt: skip
@@ -42,7 +42,7 @@ def test_help_of_no_command_imports_anything_heavy():
 
 
 def test_a_press_alone_imports_nothing_of_sound_nor_of_scenes():
-    """Statistics and scenes would take a tenth of the time of a press to 4 mm."""
+    """Importing statistics and scenes would take a tenth of the time of a press to 4 mm."""
     names = "runs.presses", "runs.results", "reports.export.vtu", "reports.figures.run"
     code = f"import acoustube.{', acoustube.'.join(names)}"
     assert loaded_after(code, ("scipy.signal", "scipy.stats", "pyvista", "sklearn")) == []
@@ -70,11 +70,11 @@ def test_help_says_what_each_option_of_a_command_is(name, capsys, monkeypatch):
     assert _app.main([name, "--help"]) == 0
     text = capsys.readouterr().out
     app = _app.app[name]
-    if app.default_command is None:  # it has commands of its own
+    if app.default_command is None:  # a group of commands
         assert all(f"{inner} " in text for inner in app if not inner.startswith("-"))
         return
     for argument in app.assemble_argument_collection(parse_docstring=True):
-        if argument.parameter.name == ("*",):  # a group, whose options follow
+        if argument.parameter.name == ("*",):  # a group of options, which follow
             continue
         lines = [line for line in text.splitlines() if f" {argument.name} " in line]
         assert argument.parameter.help
@@ -92,7 +92,7 @@ def test_completion_of_a_shell_knows_commands_options_and_choices(shell, tmp_pat
 
 @pytest.fixture(autouse=True)
 def _own_home(tmp_path, monkeypatch):
-    """Keep the user's start-up files out of what completion installs."""
+    """Keep the user's start-up files unchanged by the installation of completion."""
     monkeypatch.setenv("HOME", str(tmp_path))
 
 
@@ -125,5 +125,5 @@ def test_completion_of_an_unknown_shell_is_refused(capsys, tmp_path):
     assert list(Path(tmp_path).iterdir()) == []
 
 
-def test_type_checkers_are_told_that_the_package_has_types():
+def test_package_states_that_it_has_types():
     assert files("acoustube").joinpath("py.typed").is_file()

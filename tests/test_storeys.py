@@ -1,4 +1,4 @@
-"""The storeys of the package: commands, reports, runs, the stages in data order, the ground."""
+"""Layers of the package: commands, reports, runs, the stages in the order of data, and the base."""
 
 import ast
 import re
@@ -15,12 +15,12 @@ STAGES = (
     "estimation", "inversion", "sleeve",
 )  # fmt: skip
 STOREYS = ("base", *STAGES, "runs", "sensor", "reports", "cli")
-"""From the ground up: a room imports rooms that stand before it."""
+"""Layers from the lowest up: a package imports only those that are listed before it."""
 AT_TOP = {"__init__", "__main__", "py"}
 PRINTING = {"rich", "cyclopts", "argparse"}
 FILE_FORMATS = {"h5py", "h5netcdf", "tomlkit", "tomllib"}
 LEAVES = ("signals/calibration_file.py", "estimation/model_file.py", "recordings/")
-"""Where stages keep their own file formats."""
+"""Modules in which stages read and write their own file formats."""
 LONGEST_MODULE, LONGEST_FUNCTION = 400, 60
 
 
@@ -41,13 +41,13 @@ def imports(tree):
             yield from (name.name for name in node.names)
 
 
-def test_top_level_holds_the_storeys_alone():
+def test_top_level_holds_the_layers_only():
     found = {path.stem for path in PACKAGE.iterdir() if path.name != "__pycache__"}
     assert found - AT_TOP == set(STOREYS)
 
 
 @pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_module_imports_only_what_stands_below(path):
+def test_module_imports_only_lower_layers(path):
     here = room(path)
     if here in AT_TOP:
         return
@@ -63,7 +63,7 @@ def test_module_imports_only_what_stands_below(path):
 
 
 def test_modules_import_each_other_in_no_circle():
-    """Not even in functions or for types alone."""
+    """Imports in functions and imports for types are included."""
     names = {
         ".".join(("acoustube", *path.relative_to(PACKAGE).with_suffix("").parts)): path
         for path in modules()
@@ -81,8 +81,8 @@ def test_modules_import_each_other_in_no_circle():
     assert len(list(TopologicalSorter(graph).static_order())) == len(names)
 
 
-def test_signals_know_nothing_of_simulated_sound():
-    """A recording from a sensor passes through exactly the code that a simulated one does."""
+def test_signals_do_not_import_the_wave_solvers():
+    """A recording from a sensor passes through the same code as a simulated one."""
     names = {
         name
         for path in (PACKAGE / "signals").rglob("*.py")
@@ -92,8 +92,8 @@ def test_signals_know_nothing_of_simulated_sound():
 
 
 @pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_module_and_its_functions_can_be_read_at_once(path):
-    """400 lines a module, 60 a function without its docstring."""
+def test_modules_and_functions_are_short(path):
+    """At most 400 lines per module, and 60 per function without its docstring."""
     text = path.read_text(encoding="utf-8")
     assert text.count("\n") <= LONGEST_MODULE
     long = {}
@@ -107,7 +107,7 @@ def test_module_and_its_functions_can_be_read_at_once(path):
 
 
 def documented_attributes(words):
-    """Return the names in the section Attributes of a docstring of a class."""
+    """Return the names in the section Attributes of a class's docstring."""
     section = re.search(r"Attributes\n-+\n(.*?)(?:\n\n[A-Z]\w+\n-+|\Z)", words, re.DOTALL)
     lines = section[1].splitlines() if section else []
     names = (re.match(r"([\w, ]+?)(?: : .*)?$", line) for line in lines if line[:1].strip())

@@ -1,4 +1,4 @@
-"""The studies' arithmetic on made-up data, their report, and the command that runs them."""
+"""The studies' arithmetic on synthetic data, their report, and the command that runs them."""
 
 import csv
 import shutil
@@ -37,7 +37,7 @@ from acoustube.signals import Echoes, Ranging
 
 
 def table(presses):
-    """Return described cycles from tuples of true distance, depth and estimate in m."""
+    """Return processed cycles from tuples of true distance, depth and estimate in m."""
     true, depth, found = np.array(presses, float).T
     features = np.stack([np.where(np.isfinite(found), 0.01, np.nan), found], axis=-1)
     return xr.Dataset(
@@ -54,7 +54,7 @@ def table(presses):
 # The report
 
 
-def test_row_tells_difference_and_change():
+def test_row_states_difference_and_change():
     row = Row(quantity="a", unit="cm", ours=4.0, published=5.0, coarser=5.0)
     assert row.difference == pytest.approx(-0.2)
     assert row.change == pytest.approx(-0.25)
@@ -99,7 +99,7 @@ def test_report_holds_all_numbers_and_marks_what_is_far_off(tmp_path):
 
 
 def test_measures_are_those_of_each_table_that_there_is():
-    """4 cm off on the usual level, 1 cm on the coarser one, a millimetre by inversion."""
+    """Errors of 4 cm on the usual level, 1 cm on the coarser one, a millimetre by inversion."""
     given = [table([(0.5, 1e-3, 0.5 + off)]) for off in (0.04, 0.01, 1e-3)]
     (row, *_) = ranged.distance_rows(Tables(*given), (5.0, None, None), "")
     assert (row.ours, row.coarser, row.inversion) == pytest.approx((4.0, 1.0, 0.1))
@@ -109,9 +109,9 @@ def test_measures_are_those_of_each_table_that_there_is():
 
 @pytest.mark.slow
 def test_recordings_of_a_study_are_inverted():
-    """Places within 0.3 mm and forces within 5 %, as of the inversion itself; none without press.
+    """Positions within 0.3 mm and forces within 5 %, as by the inversion itself.
 
-    The force is that of the made tool, 2 N/mm^2.
+    The force of the synthetic tool is 2 N/mm^2.
     """
     inverter = inverted.inverter_of(Library([tool()]), [], session_seed=3, tube_seed=7)
     cycles = []
@@ -132,7 +132,7 @@ def test_recordings_of_a_study_are_inverted():
 
 
 def test_share_of_small_errors_counts_what_is_not_found_as_large():
-    """Errors of 1 and 10 cm of four recordings, two of them without an echo: up to a half."""
+    """Errors of 1 and 10 cm in two of four recordings, the others without an echo: up to a half."""
     sheet = inverted.errors_figure(
         {"peak": ([0.5, 0.5, 0.5, 0.5], [0.51, 0.6, np.nan, np.nan])}, {}
     )
@@ -143,7 +143,7 @@ def test_share_of_small_errors_counts_what_is_not_found_as_large():
 
 
 def test_presses_of_the_study_are_chosen_by_their_places(tmp_path):
-    """Every second place, without the presses of 0.5 mm, and the first cycles of each."""
+    """Every second position, without the presses of 0.5 mm, and the first cycles of each press."""
     for i, (place, depth) in enumerate([(z, d) for z in (0.3, 0.4, 0.5) for d in (0.5e-3, 2e-3)]):
         cycles = record([], n_cycles=7, seed=i)
         known = {"true_distance": place, "depth": depth, "force": 1.0}
@@ -177,7 +177,7 @@ def test_page_without_figures_is_a_page():
 
 
 def test_contacts_are_reliable_from_the_depth_beyond_which_none_is_missed():
-    """Told at 1 mm by chance, not at 2 mm, then always: reliable from 3 mm."""
+    """Located at 1 mm by chance, not at 2 mm, then always: reliable from 3 mm."""
     near = [(0.3, d, 0.3 + off) for d, off in ((1e-3, 0.0), (2e-3, 0.5), (3e-3, 0.1), (4e-3, 0.0))]
     far = [(2.0, d, np.nan) for d in (1e-3, 2e-3, 3e-3, 4e-3)]
     cycles = table(near + far)
@@ -239,7 +239,7 @@ def test_reach_is_where_the_loss_there_and_back_is_the_dynamic_range():
     plain = echotube.reach(8.0, 60.0, coupled=False)
     assert 2 * plain * echotube.attenuation(8.0) == pytest.approx(60.0)
     assert echotube.reach(8.0, 60.0, coupled=True) == pytest.approx(plain)
-    # A quarter of the area twice: 24 dB.
+    # A quarter of the area, passed twice: 24 dB.
     narrow = echotube.reach(4.0, 60.0, coupled=True)
     assert 2 * narrow * echotube.attenuation(4.0) == pytest.approx(60.0 - 40 * np.log10(4))
 
@@ -260,18 +260,18 @@ def test_two_presses_are_the_highest_peaks_near_their_places():
 
 
 @pytest.mark.slow
-def test_dead_zone_is_what_the_transducer_rings():
-    """13 cycles sent, ringing as Q = 14 does: its last centimetres lie between 10 and 16 cm."""
+def test_dead_zone_is_that_of_the_ring_down():
+    """For 13 cycles sent and a ring-down with Q = 14 it ends between 10 and 16 cm."""
     assert 0.10 < echotube.dead_zone(8.0) < 0.16
 
 
 @pytest.mark.slow
 @pytest.mark.long
-def test_calibration_is_that_of_the_tube_and_seldom_alarmed():
+def test_calibration_is_that_of_the_tube_with_few_false_detections():
     found, factor = calibration.calibrated(3)
     assert found.slope.value == pytest.approx(1.0, abs=3e-3)
     assert found.false_alarms < calibration.FALSE_ALARMS
-    # White noise needs 2.8 or more; the published asymptotes, to a twentieth.
+    # White noise needs a factor of 2.8 or more; the published asymptotes within 5 %.
     assert factor > 2.8
     gain = found.processing.gain
     assert gain.c4 - gain.c1 == pytest.approx(0.635, rel=0.05)
@@ -295,7 +295,7 @@ def test_command_writes_pages_and_a_table_and_goes_on(tmp_path):
     rows = pd.read_csv(out / "table.csv", index_col="quantity")
     slope = rows.loc[[name for name in rows.index if "slope" in name]]
     assert slope["ours"].to_numpy() == pytest.approx(1.0, abs=3e-3)
-    # What is there from another command stays in the list and in the table.
+    # Results of an earlier command stay in the list and in the table.
     shutil.copytree(out / "calibration", out / "echotube")
     assert f"{slope['published'].iloc[0]:g}" in said.getvalue()
     run_reproduce(["calibration"], out, Scale(quick=True), ConsoleReporter(Console(quiet=True)))
@@ -314,7 +314,7 @@ def test_folder_of_something_else_is_left_alone(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
 
 
-def test_unreadable_mark_is_told(tmp_path):
+def test_unreadable_mark_is_reported(tmp_path):
     (tmp_path / "reproduce.json").write_text("{")
     with pytest.raises(ConfigError, match=r"reproduce.json is damaged"):
         run_reproduce(["calibration"], tmp_path, Scale(), ConsoleReporter(Console(quiet=True)))

@@ -1,4 +1,4 @@
-"""Studies on an arm: their geometry and their counts, against closed forms and made-up cycles."""
+"""Studies on an arm: geometry and counts, against closed forms and synthetic cycles."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ CYLINDER = Helix(radius=0.04, length=0.2, loops=7, lead=0.15)
 
 
 def table(true, found, **labels):
-    """What the processing might have told of single cycles."""
+    """Processed single cycles with given true and estimated distances."""
     features = np.stack([np.full(len(true), 0.1), found], axis=-1)
     known = {"true_distance": true, "depth": np.full(len(true), 5e-3)} | labels
     return xr.Dataset(
@@ -31,7 +31,7 @@ def table(true, found, **labels):
 
 
 def test_sleeve_is_of_the_published_size():
-    """9 loops of a tube of 250 cm, to 2 cm; two tubes lie side by side."""
+    """9 loops of a tube of 250 cm, to 2 cm; two parallel tubes."""
     tubes = arm.sleeve()
     assert len(tubes) == 2
     for tube in tubes:
@@ -39,8 +39,8 @@ def test_sleeve_is_of_the_published_size():
         assert tube.tube_length == pytest.approx(2.5, abs=0.02)
 
 
-def test_rod_on_a_bend_leaves_it_as_its_stand_in_leaves_a_straight_tube():
-    """Gaps of circles to second order: 1.4e-3 of the gap is left at 1 mm from the middle."""
+def test_gap_of_a_rod_on_a_bend_is_that_of_its_equivalent_on_a_straight_tube():
+    """Gaps between circles to second order: the error 1 mm from the middle is 1.4e-3 of the gap."""
     bend, rod, z = 1 / 24.0, 25e-3, 1e-3
     gap = (rod / 2 - np.sqrt(rod**2 / 4 - z**2)) + (bend - np.sqrt(bend**2 - z**2))
     same = arm.rod_on_a_bend(rod, 1 / bend)
@@ -57,13 +57,13 @@ def test_a_loop_along_the_tube_is_a_pitch_over_the_skin():
 
 @pytest.mark.parametrize("helix", [CONE, CYLINDER])
 def test_small_errors_over_the_skin_are_those_along_the_tube(helix):
-    """The tube lies on the skin: over 1 mm chord and arc differ by 1e-5."""
+    """The tube lies on the skin; over 1 mm chord and arc differ by 1e-5."""
     at = np.linspace(0.3, 1.4, 7)
     assert arm.over_skin(helix, at, at + 1e-3) == pytest.approx(1e-3, rel=2e-4)
 
 
 def test_straight_line_of_the_unrolled_cone_is_the_shortest_way():
-    """By minimising the length of curves z(psi) on the cone between places half a turn apart."""
+    """Against the shortest of curves z(psi) on the cone between positions half a turn apart."""
     from scipy.optimize import minimize
 
     a, b = CONE.distance(np.array([0.06, 0.06 + CONE.pitch / 2]))
@@ -88,7 +88,7 @@ def test_places_off_the_sleeve_have_no_distance_over_the_skin():
 
 
 def test_cycles_are_averaged_one_by_one_and_not_by_parts():
-    """The mean of all 16, to rounding, of parts of 9 and 7."""
+    """The mean of all 16 cycles, given in parts of 9 and 7, to rounding."""
     cycles = arm_cycles(16)
     mean = human.averaged([cycles.isel(cycle=slice(0, 9)), cycles.isel(cycle=slice(9, None))])
     assert mean["signal"].dims == ("cycle", "time")
@@ -113,7 +113,7 @@ def test_force_levels_are_met_in_their_middle_and_within():
         assert level[0] < forces.min() < forces.max() < level[1]
 
 
-def test_presses_that_are_told_are_counted_by_level_and_false_ones_apart():
+def test_located_presses_are_counted_by_level_and_false_positives_apart():
     found = table(
         [0.5, 0.5, 1.0, 1.5, 1.5], [0.52, np.nan, 1.0, 0.7, 1.6],
         level=[2.0, 4.0, 6.0, 6.0, 4.0], number=[0, 0, 1, 1, 0], force=[3.0] * 5,
@@ -126,7 +126,7 @@ def test_presses_that_are_told_are_counted_by_level_and_false_ones_apart():
     assert rows["distance: median absolute error"].ours == pytest.approx(6.0)
 
 
-def test_farthest_press_is_one_that_half_its_cycles_tell():
+def test_farthest_press_is_located_in_half_of_its_cycles():
     found = table([1.2] * 4 + [1.8] * 4, [1.2, 1.21, 1.2, np.nan, 1.8, np.nan, np.nan, 0.4])
     assert mannequin.farthest(found) == pytest.approx(1.2)
 
@@ -138,7 +138,7 @@ def test_rows_of_the_ground_are_read_at_five_newtons():
     assert [row.ours for row in rows] == pytest.approx([5.0, 2.5])
 
 
-def test_contact_that_is_followed_is_held_against_the_nearest_true_one():
+def test_tracked_contact_is_compared_with_the_nearest_true_one():
     none = Contacts(np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0))
     two = Contacts(np.arange(2), np.array([0.61, 0.78]), np.zeros(2), np.ones(2))
     track = swipe.Track(np.arange(2.0), np.tile([0.6, 0.8], (2, 1)), [], [none, two], np.zeros(2))
@@ -149,10 +149,10 @@ def test_contact_that_is_followed_is_held_against_the_nearest_true_one():
 
 @pytest.mark.slow
 def test_recordings_of_the_sleeve_are_inverted():
-    """A press 3 mm deep on the wrapped tube: its place within 1 mm, its force within 5 %.
+    """A press 3 mm deep on the wrapped tube: position within 1 mm, force within 5 %.
 
-    Its bends are joined by all their modes, the inversion has bent modes; millimetres are what the
-    tests of wrapped tubes allow.
+    Its bends are joined by all their modes, while the inversion uses bent modes; the tolerance is
+    that of the tests of wrapped tubes, millimetres.
     """
     place, depth = 0.71, 3e-3
     one = press(depth, place, np.arange(33e3, 51e3, 100.0)).scattering
@@ -169,7 +169,7 @@ def test_recordings_of_the_sleeve_are_inverted():
 @pytest.mark.slow
 @pytest.mark.long
 def test_swipe_of_a_closed_tube_is_followed_to_a_centimetre():
-    """A whole echo, at 5 cm/s: 2.5 mm a cycle."""
+    """A complete reflection that moves at 5 cm/s: 2.5 mm per cycle."""
     closed = blockage(BAND, 0.5).scattering
     case = xr.Dataset({"force": 7.0})
     track, _ = swipe.swiped({8e-3: (case, closed)}, quick=True)

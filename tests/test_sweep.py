@@ -1,4 +1,4 @@
-"""Sweeps: the same results however they are computed, and nothing lost."""
+"""Sweeps: results do not depend on how they are computed, and survive interruption."""
 
 import dataclasses
 import json
@@ -59,7 +59,7 @@ def finished(tmp_path_factory):
 
 @pytest.fixture
 def in_a_thread(monkeypatch):
-    """Let the command compute in a thread where the test is not one of processes."""
+    """Make the command compute in a thread, in tests that are not about processes."""
 
     def own(plan, out, **options):
         return run_sweep(plan, out, **options | {"executor": ThreadPoolExecutor(1)})
@@ -68,16 +68,16 @@ def in_a_thread(monkeypatch):
 
 
 def assert_same(one, other):
-    """The same cases with the same bits."""
+    """Compare the cases of two folders bit by bit."""
     a, b = (acoustube.open_dataset(folder).load() for folder in (one, other))
     xr.testing.assert_identical(a, b)
 
 
 @pytest.mark.slow
 def test_cases_are_what_simulate_computes(finished):
-    """The same to float32 from the same scattering; `simulate` cuts the pulse's band off sooner.
+    """Equal to float32 with the same scattering; `simulate` limits the pulse's band more.
 
-    What it leaves out is at -70 dB of the spectrum's peak and under 2e-3 of the pulse.
+    The part that it leaves out is at -70 dB of the spectrum's peak and under 2e-3 of the pulse.
     """
     data = acoustube.open_dataset(finished)
     for case in (data.isel(press=i) for i in (4, 5)):
@@ -110,8 +110,8 @@ def test_labels_are_those_of_the_settings_and_the_press(finished):
     assert data["force"].values[0] == 0
     assert np.all(np.diff(data["lumen_area"].values[:3]) < 0)
     np.testing.assert_allclose(data["lumen_area"].values[0], np.pi * 3.95e-3**2, rtol=1e-12)
-    # A press sends back the more the deeper it is. What an untouched tube does is cut from the
-    # pulse's band, 70 dB under its peak and spread over the run.
+    # The deeper a press, the higher its echo. The signal of the untouched tube is the truncation of
+    # the pulse's band, 70 dB below its peak and spread over the run.
     late = data["pressure"].sel(source_end="absorbing").isel(time=data["time"] > 0.8e-3)
     highest = np.abs(late).max("time").values[:3]
     assert highest[0] < 5e-5
@@ -135,7 +135,7 @@ def test_a_repeat_computes_nothing(finished, capsys, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.usefixtures("finished", "in_a_thread")
 def test_pieces_are_computed_once_ever(tmp_path, capsys):
-    """Other places, temperatures and a longer tube: only what is heard is new."""
+    """Other positions, temperatures and a longer tube need no new presses and matrices."""
     words = ["--depth", "0.3", "0.6", "--frequency", "20", "--resolution", "8"]
     words += ["--vary", "mesh=coarse", "--position", "30:60:5", "--length", "80"]
     words += ["--temperature", "20"]
@@ -168,7 +168,7 @@ def test_pieces_computed_anew_are_the_same(finished, tmp_path, monkeypatch, comm
 
 @contextmanager
 def cluster(tmp_path, port, count):
-    """A scheduler and workers, processes of their own, and the command of a sweep on them."""
+    """Start a scheduler and workers as processes, and the command of a sweep on them."""
     own = {"ACOUSTUBE_CACHE": str(tmp_path / "cluster's"), "OMP_NUM_THREADS": "1"}
     start = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": os.environ | own}
     address, dask = f"tcp://127.0.0.1:{port}", [sys.executable, "-m", "dask"]
@@ -229,14 +229,14 @@ def _await_workers(address, count):
 
 
 def _await_first_press(tmp_path):
-    """Wait until the cluster has remembered its press, and computes the scattering."""
+    """Wait until the cluster has cached its press and computes the scattering."""
     deadline = time.monotonic() + 240
     while not list((tmp_path / "cluster's").glob("*.npz")):
         assert time.monotonic() < deadline
         time.sleep(0.1)
 
 
-def test_a_cluster_that_is_not_there_is_told(capsys, monkeypatch):
+def test_a_missing_cluster_is_reported(capsys, monkeypatch):
     import distributed
 
     real = distributed.Client
@@ -246,7 +246,7 @@ def test_a_cluster_that_is_not_there_is_told(capsys, monkeypatch):
 
 
 def test_a_process_without_its_cluster_ends_with_the_sentence_alone():
-    """No traceback of the library follows, and no folder is made."""
+    """No traceback of the library is printed, and no folder is made."""
     told = run_process("sweep", *SMALL, "--out", "new", "--dask", "tcp://127.0.0.1:9")
     assert told.returncode == 2
     assert told.stderr == (
@@ -258,7 +258,7 @@ def test_a_process_without_its_cluster_ends_with_the_sentence_alone():
 
 @pytest.mark.long
 def test_a_sweep_that_is_killed_goes_on_to_the_same_results(finished, tmp_path):
-    """Killed with all its workers at random moments; what is written is never half."""
+    """It is killed with all its workers at random moments; files are complete at any time."""
     moments = random.Random(5)
     environment = os.environ | {"ACOUSTUBE_CACHE": str(tmp_path / "cache")}
     command = [sys.executable, "-m", "acoustube", "sweep", *SMALL, "--out", "killed"]
@@ -367,7 +367,7 @@ def test_a_damaged_file_is_computed_again_and_kept(finished, tmp_path, capsys):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_a_thread")
-def test_a_changed_plan_is_told_and_keeps_what_is_there(finished, tmp_path, capsys):
+def test_a_changed_plan_is_reported_and_keeps_existing_cases(finished, tmp_path, capsys):
     folder = tmp_path / "grown"
     assert small_sweep(folder, OVER | {"position_cm": ["15"]})
     assert main(["sweep", *SMALL, "--out", str(folder), "--workers", "1"]) == 0
@@ -394,7 +394,7 @@ def test_folders_of_others_are_refused(tmp_path, capsys):
     assert [p.name for p in (tmp_path / "mine").iterdir()] == ["notes.txt"]
 
 
-def test_nothing_to_open_is_told(tmp_path):
+def test_missing_results_are_reported(tmp_path):
     with pytest.raises(ConfigError, match="holds no results of acoustube sweep or dataset"):
         acoustube.open_dataset(tmp_path)
 
@@ -414,7 +414,7 @@ def test_scattering_of_another_air_is_that_of_the_same_wavelengths(lossy, tolera
     moved = at_sound_speed(found, warm.sound_speed)
     np.testing.assert_allclose(moved.frequency, direct.frequency)
     assert np.abs(moved.s - direct.s).max() < tolerance
-    # And it is not as good to leave the frequencies as they are.
+    # Unscaled frequencies give a larger error.
     above = frequency > direct.frequency[0]
     left = CubicSpline(direct.frequency, direct.s)(frequency[above])
     assert np.abs(found.s[above] - left).max() > 0.01

@@ -1,4 +1,4 @@
-"""Tasks on workers that fail, die or go away; files that are damaged; a disk that is full."""
+"""Tasks on workers that fail, die or disconnect; damaged files; a full disk."""
 
 import os
 import signal
@@ -43,7 +43,7 @@ def die_once(x, flag):
 
 
 def threads_of_numba():
-    """Return how many threads numba has, once it has started them and compiled something."""
+    """Return the number of numba's threads, after it has started them and compiled something."""
     import numba
 
     before = numba.get_num_threads()
@@ -52,7 +52,7 @@ def threads_of_numba():
 
 
 class Record:
-    """What became of tasks."""
+    """Results and failures of tasks."""
 
     def __init__(self):
         self.results, self.failures = {}, {}
@@ -88,7 +88,7 @@ def test_tasks_and_what_follows_from_them_are_all_run(threads):
     assert ticks
 
 
-def test_a_failed_task_is_told_and_the_others_go_on(threads):
+def test_a_failed_task_is_reported_and_the_others_go_on(threads):
     record = Record()
     tasks = [record.task(i, refuse if i == 3 else square, i) for i in range(8)]
     run_tasks(tasks, threads, 2, lambda: None)
@@ -114,7 +114,7 @@ def test_no_more_tasks_are_handed_over_than_asked_for():
 
 
 @pytest.mark.slow
-def test_a_killed_worker_costs_nothing_but_time(processes, tmp_path):
+def test_task_of_a_killed_worker_is_repeated(processes, tmp_path):
     record = Record()
     tasks = [record.task(i, die_once, i, tmp_path / "died") for i in range(6)]
     run_tasks(tasks, processes, 2, lambda: None)
@@ -159,7 +159,7 @@ def test_workers_stay_for_the_next_run_unless_they_are_lost_in_between(processes
 
 
 class GoneExecutor(ThreadPoolExecutor):
-    """One whose scheduler has gone, as a Dask cluster's may."""
+    """An executor whose scheduler is gone, as a Dask cluster's may be."""
 
     def submit(self, *_):
         future = Future()
@@ -167,13 +167,13 @@ class GoneExecutor(ThreadPoolExecutor):
         return future
 
 
-def test_a_lost_scheduler_ends_the_run_with_a_word():
+def test_a_lost_scheduler_ends_the_run_with_an_error():
     with pytest.raises(SimulationError, match=r"scheduler are gone; .* run the same command again"):
         run_tasks([Record().task("a", square, 2)], GoneExecutor(), 1, int)
 
 
 class BrokenPool(ThreadPoolExecutor):
-    """One whose workers are lost, as a pool of processes tells."""
+    """An executor whose workers are lost, as reported by a pool of processes."""
 
     def submit(self, *_):
         raise BrokenExecutor
@@ -238,7 +238,7 @@ def test_a_changed_byte_or_a_cut_is_noticed(tmp_path, place):
     at = int(place * len(good))
     path.write_bytes(good[:at] + bytes([good[at] ^ 0x55]) + good[at + 1 :])
     data = store.intact(path)
-    # A byte of HDF5's own free space may not matter; then the content is what it was.
+    # A byte of HDF5's free space may not matter; then the content is unchanged.
     if data is not None:
         np.testing.assert_array_equal(data["pressure"], results("a")["pressure"])
     else:
@@ -259,7 +259,7 @@ def test_damage_of_the_samples_is_noticed(tmp_path):
     assert store.intact(path) is None
 
 
-def test_foreign_files_are_told_and_left(tmp_path):
+def test_foreign_files_are_reported_and_left(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / "cases-mine.nc").write_text("mine")
     path = store.write(tmp_path, results("a"), None)
@@ -269,7 +269,7 @@ def test_foreign_files_are_told_and_left(tmp_path):
 
 
 def test_a_full_disk_leaves_the_folder_intact(tmp_path):
-    """A limit on the size of files ends a write half way, as a full disk does."""
+    """A limit on the size of files interrupts a write, as a full disk does."""
     resource = pytest.importorskip("resource")
     good = store.write(tmp_path, results("a"), None)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)

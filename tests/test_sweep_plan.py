@@ -1,4 +1,4 @@
-"""The plan of a sweep, its cases, and what they share."""
+"""The plan of a sweep, its cases, and the presses and matrices that they share."""
 
 import dataclasses
 import hashlib
@@ -218,7 +218,7 @@ def test_wrong_plans_are_refused_in_one_sentence(words, parts, capsys, tmp_path)
 @pytest.mark.parametrize(
     ("text", "parts"),
     [
-        ("[sweep]\nsteps = 3\n", ["[sweep] steps is not known", "count"]),
+        ("[sweep]\nsteps = 3\n", ["steps is not a setting", "over"]),
         ("[sweep]\nover = 3\n", ["over"]),
         ("[sweep.over]\ndepth_mm = {a = 1}\n", ["depth_mm is a table; give a list"]),
         ("[sweep.over]\ndepth_mm = []\n", ["depth_mm has no values", "no cases"]),

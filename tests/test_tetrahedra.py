@@ -71,7 +71,7 @@ def straightened(mesh):
 
 @pytest.mark.parametrize("name", ["wall.stl", "wall.ply", "wall.obj"])
 def test_every_format_gives_the_same_tube_in_metres(name):
-    """STL stores single precision: 1e-7 of 80 mm."""
+    """STL stores single precision, 1e-7 of 80 mm."""
     found = read_surface(written(round_tube(), name))
     np.testing.assert_allclose(found.extents, [11.1e-3, 11.1e-3, 160e-3], rtol=1e-6)
     np.testing.assert_allclose(found.bounds.sum(axis=0), 0, atol=2e-8)
@@ -95,7 +95,7 @@ def test_walls_and_scales_are_those_of_the_round_tube(surface):
 
 
 def test_d_bore_is_as_high_as_its_script_says():
-    """The flat lies 2.2 mm below the middle, the top 3.95 mm above it."""
+    """The flat is 2.2 mm below the middle, the top 3.95 mm above it."""
     tube = tube_of(read_surface(D_BORE), shear_modulus=MU, poisson_ratio=0.49)
     assert tube.inner_diameter == pytest.approx(6.15e-3, rel=1e-6)
     assert 1.6e-3 < tube.wall_thickness < 2.2e-3
@@ -108,7 +108,7 @@ def without_facets(n):
 
 
 def folded_through():
-    """A tube whose inner wall comes out through the outer one in the middle."""
+    """A tube whose inner wall crosses the outer one in the middle."""
     wall = round_tube()
     middle = np.isclose(wall.vertices[:, 2], 0) & (
         np.hypot(*wall.vertices[:, :2].T) < BORE / 2 + 0.1
@@ -177,9 +177,9 @@ def test_mesh_has_the_volume_of_the_surface(surface, quarter):
 
 
 def test_walls_and_symmetry_planes_are_where_they_belong(quarter):
-    """Nodes on a facet are inside its circle by up to 1.2 um, and 1.7 um on the outer wall.
+    """Nodes on facets are inside their circle by up to 1.2 um, on the outer wall by 1.7 um.
 
-    One in a hundred may stay where the mesher put it, for the sake of its elements: within the
+    One in a hundred may stay where the mesher put it, for the quality of its elements, within the
     envelope.
     """
     inner, outer = (np.unique(faces) for faces in (quarter.inner_faces, quarter.outer_faces))
@@ -201,7 +201,7 @@ def test_walls_and_symmetry_planes_are_where_they_belong(quarter):
 
 
 def test_faces_cover_the_walls_with_normals_away_from_the_axis(quarter):
-    """The facets' area is that of the circle's wall less 1e-4; the sides' curve adds as little."""
+    """The area of the facets is the circle's less 1e-4; the curved sides add as little."""
     for faces, radius in ((quarter.inner_faces, 3.95e-3), (quarter.outer_faces, 5.55e-3)):
         points = quarter.points[faces]
         tangents = np.einsum("fni,qnj->fqij", points, quarter.face.slopes)
@@ -213,7 +213,7 @@ def test_faces_cover_the_walls_with_normals_away_from_the_axis(quarter):
 
 
 def test_only_symmetries_that_the_wall_has_are_used():
-    """A bore that is off the middle by half a wall has a mirror image along the tube only."""
+    """A bore off the middle by half a wall has a mirror image along the tube only."""
     wall = round_tube()
     bore = np.hypot(*wall.vertices[:, :2].T) < BORE / 2 + 0.1
     wall.vertices[bore, 0] += 0.8
@@ -223,7 +223,7 @@ def test_only_symmetries_that_the_wall_has_are_used():
 
 
 def test_element_whose_curved_side_would_turn_it_over_stays_straight():
-    """The middle of one edge is pulled through the opposite corner; that of another a little."""
+    """The middle of one edge is moved through the opposite corner, that of another one a little."""
     straight = TET10.nodes
     target = straight.copy()
     target[4] = straight[3]
@@ -238,7 +238,7 @@ def test_element_whose_curved_side_would_turn_it_over_stays_straight():
 
 
 def test_affine_displacement_leaves_inner_nodes_of_straight_elements_free(quarter):
-    """Forces cancel to round-off, 1e-11 of the largest one; curved sides would leave 1e-3."""
+    """Inner forces cancel to round-off, 1e-11 of the largest; curved sides would leave 1e-3."""
     mesh = straightened(quarter)
     stretch = np.array([[0.2, 0.1, -0.1], [0.05, -0.1, 0.2], [-0.15, 0.1, 0.05]])
     forces = nodal_forces(mesh, neo_hookean_solid(MU, K), mesh.points @ stretch.T)
@@ -261,7 +261,7 @@ def test_rigid_rotation_leaves_curved_elements_without_force(quarter):
 
 
 def cube(n):
-    """Return the unit cube in n^3 boxes of six tetrahedra each."""
+    """Return the unit cube as n^3 boxes of six tetrahedra each."""
     axis = np.arange(2 * n + 1) / (2 * n)
     points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     places = (2 * n + 1) ** np.arange(2, -1, -1)
@@ -310,8 +310,8 @@ def body_force(point):
 def boundary_force():
     """Return the work of the boundary's tractions on a stretch along x, the integral of t_x x.
 
-    By the divergence theorem the integral of the stress s_xx less x times the body force, with ten
-    Gauss points to an edge exact to round-off.
+    By the divergence theorem, the integral of the stress s_xx less x times the body force; with ten
+    Gauss points per edge exact to round-off.
     """
     points, weights = gauss(10, 3)
     points, weights = (points + 1) / 2, weights / 8
@@ -336,9 +336,9 @@ def matrices_and_loads(corners):
 
 
 def errors_of_the_cube(n):
-    """Return the errors with exact boundary values: of the nodes' displacements, and of the force.
+    """Return errors of the nodes' displacements, and of the force, with exact boundary values.
 
-    Root mean square in m, and of what :func:`boundary_force` returns, relative.
+    Root mean square in m, and relative error of the result of :func:`boundary_force`.
     """
     mesh = cube(n)
     wanted = np.asarray(jax.jit(jax.vmap(exact))(mesh.points))
@@ -363,7 +363,7 @@ def errors_of_the_cube(n):
 
 
 def test_displacement_converges_with_order_two_to_three_and_force_with_order_four():
-    """Quadratic displacements alone have order 3, a pressure constant in each element brings 2.
+    """Quadratic displacements have order 3, a constant pressure in each element order 2.
 
     Measured with 2, 4 and 6 elements per edge: 2.4 and 2.2 for the displacement, 4.06 and 4.02 for
     the force. Linear elements have order 2 at best, and order 1.2 with this bulk modulus.
@@ -380,7 +380,7 @@ DRAWS = []
 
 @pytest.fixture
 def same_draw(monkeypatch):
-    """Fill the piece of these tests once, and return the same tetrahedra for every draw."""
+    """Fill the piece of these tests once, and return the same tetrahedra for each attempt."""
     fill = tetrahedra._tetrahedralised
 
     def filled(*piece):
@@ -393,9 +393,9 @@ def same_draw(monkeypatch):
 
 @pytest.mark.usefixtures("same_draw")
 def test_a_mesh_with_a_flat_element_is_drawn_again(surface, monkeypatch):
-    """One in twenty has four corners in one plane, whose volume of zero turns forces into NaN."""
+    """One element in twenty has four corners in one plane: its volume of zero makes forces NaN."""
     flat, shape = [True], boundary_nodes.quadratic
-    # Nodes off a plane, in one draw of twenty, are another test's: here the shapes alone decide.
+    # Nodes off a plane, in one mesh of twenty, are tested elsewhere: here only shapes count.
     monkeypatch.setattr(tetrahedra, "quadratic", lambda *piece: (shape(*piece)[0], 0.0))
     worst = tetrahedra.MIN_QUALITY
 
@@ -417,7 +417,10 @@ def test_a_mesh_with_a_flat_element_is_drawn_again(surface, monkeypatch):
     ("shares", "taken"), [([0.5, 0.002, 0.0], 1), ([1.0, 0.2, 0.3], 1), ([0.01, 0.0], 0)]
 )
 def test_a_mesh_whose_nodes_are_astray_is_drawn_again(shares, taken, surface, monkeypatch):
-    """Until one in a hundred or fewer are; of three with more the best is taken, with a note."""
+    """Until one node in a hundred or fewer is astray; after three meshes the best is taken.
+
+    It is taken with a note.
+    """
     shape, drawn = boundary_nodes.quadratic, []
 
     def astray(*piece):
@@ -439,7 +442,7 @@ def test_a_mesh_whose_nodes_are_astray_is_drawn_again(shares, taken, surface, mo
 
 @pytest.mark.usefixtures("same_draw")
 def test_mesh_with_a_node_off_a_plane_of_symmetry_is_never_taken(surface, monkeypatch):
-    """Such a node would stay unconstrained; `quadratic` reports it as a share of one."""
+    """Such a node would be unconstrained; `quadratic` reports it as a share of one."""
     shape = boundary_nodes.quadratic
     monkeypatch.setattr(tetrahedra, "quadratic", lambda *piece: (shape(*piece)[0], 1.0))
     with pytest.raises(ConfigError):
@@ -455,7 +458,7 @@ def test_quality_of_a_regular_tetrahedron_is_one():
 # --- presses
 
 REACH = 40e-3
-"""Length in m that is meshed to one side; 40 to 100 mm give the reference's force to 0.01 %."""
+"""Meshed length in m on one side; 40 to 100 mm give the reference's force to 0.01 %."""
 
 
 def pressed(surface, depth, support, size=None):
@@ -468,11 +471,11 @@ def pressed(surface, depth, support, size=None):
 
 @pytest.mark.slow
 @pytest.mark.long
-def test_tetrahedra_need_the_force_of_the_reference_and_of_hexahedra(surface):
-    """Within 2 % at 4 mm of CalculiX's hexahedra (2.11272 N, sure to 0.5 %) and of acoustube's.
+def test_force_of_tetrahedra_is_that_of_the_reference_and_of_hexahedra(surface):
+    """Within 2 % at 4 mm of CalculiX's hexahedra (2.11272 N, known to 0.5 %) and of acoustube's.
 
-    One element through the wall: measured 0.7 to 0.9 % over; the default's edges, two thirds as
-    long, come within 0.6 %.
+    One element through the wall: measured 0.7 to 0.9 % too high; with the default's edges, two
+    thirds as long, within 0.6 %.
     """
     size = TetrahedronSize(fine=1.0, coarse=2.0)
     tetrahedra = pressed(surface, 4e-3, "free", size).contact_force[-1]
@@ -483,7 +486,7 @@ def test_tetrahedra_need_the_force_of_the_reference_and_of_hexahedra(surface):
 @pytest.mark.slow
 @pytest.mark.long
 def test_d_bore_is_pressed_to_three_fifths_of_its_height():
-    """No increment fails, and no element comes near to turning over (J stays above 0.9)."""
+    """No increment fails, and no element comes near to inversion (J stays above 0.9)."""
     wall = read_surface(D_BORE)
     depth = 0.6 * tube_of(wall, shear_modulus=MU, poisson_ratio=0.49).inner_diameter
     press = pressed(wall, depth, "free", TetrahedronSize(fine=1.0, coarse=2.0))

@@ -1,4 +1,4 @@
-"""Contacts followed from cycle to cycle: the update, and fingers that come, move and go."""
+"""Contacts tracked from cycle to cycle: the update, and fingers that land, move and lift."""
 
 import dataclasses
 
@@ -43,7 +43,7 @@ def counts(presses, number=0):
 
 
 def finger(number, first, last, place, slide, depth):
-    """Return place and depth in a cycle of a finger that lands, slides and lifts, or nothing."""
+    """Return position and depth in a cycle of a finger that lands, slides and lifts, or nothing."""
     u = (number - first) / (last - first)
     if not 0 < u < 1:
         return []
@@ -57,10 +57,10 @@ def followed(model, hands, n):
 
 
 def test_fingers_are_followed_while_they_land_slide_and_lift(model):
-    """Two that overlap in time; places within 0.3 mm.
+    """Two contacts that overlap in time; positions within 0.3 mm, depths within 5 %.
 
-    The echo of these matrices is as the cube of the depth, so that a gain known to 5 % leaves the
-    depth to 1.7 %; three times that.
+    The echo of this scattering is as the cube of the depth, so that a gain known to 5 % leaves the
+    depth to 1.7 %; three times that is allowed.
     """
 
     def hands(i):
@@ -80,7 +80,7 @@ def test_fingers_are_followed_while_they_land_slide_and_lift(model):
                 assert contact.depth.value == pytest.approx(depth, rel=0.05)
         for number in one.numbers:
             ages[number] = ages.get(number, 0) + 1
-    # The two fingers kept their numbers; nothing else lasted.
+    # The two fingers keep their numbers; false contacts are short.
     assert min(sorted(ages.values())[-2:]) >= 29
     assert sum(sorted(ages.values())[:-2]) < 10
     assert found[-1].numbers == found[37].numbers[1:]
@@ -100,7 +100,7 @@ def test_contact_that_is_there_from_the_start_is_found_in_some_cycles(model):
 
 
 def test_update_from_a_wide_prior_is_the_maximum_likelihood(model):
-    """The same maximum and information as Levenberg and Marquardt's, with nuisances fixed."""
+    """Mean and covariance are those of Levenberg and Marquardt's method, with fixed nuisances."""
     samples, noise = model.base.of_cycles(counts([(0.7, 4e-3)])[None])
     whiten = weights(model, noise, 0.01, None)
     start = joined(np.array([[0.7004]]), np.array([[4.05e-3]]), np.zeros((1, 6)))
@@ -119,7 +119,7 @@ def test_update_from_a_wide_prior_is_the_maximum_likelihood(model):
 
 
 def test_prediction_keeps_the_stationary_distribution(model):
-    """Velocities and nuisances; a place moves by the velocity's integral."""
+    """For velocities and nuisances; a position changes by the integral of the velocity."""
     motion, priors = Motion(), model.priors
     deviations = np.array([1e-4, 1e-4, motion.slide, motion.sink])
     start = at_rest(priors).added(0, 0, np.array([0.5]), np.array([3e-3]), deviations)
@@ -169,16 +169,17 @@ def cycle_of(model, presses):
 
 
 def loss(whiten, fewer, more):
-    """Return by how much a fit's logarithm of the likelihood is below another's."""
+    """Return by how much the log-likelihood of a fit is below that of another one."""
     rest = whiten(np.stack([fewer.rest[0], more.rest[0]]))
     return float(np.diff(-np.sum(np.abs(rest) ** 2, axis=1))[0])
 
 
-def test_contact_that_explains_a_misplaced_one_is_worth_nothing_once_that_is_fitted_again(model):
-    """The real one half a wavelength off and another behind; without that it returns to its place.
+def test_false_contact_beside_a_misplaced_one_has_no_evidence_after_a_refit(model):
+    """A misplaced contact returns to its true position when a false one behind it is removed.
 
-    As it stands the cycle loses by the other contact's absence: with the misplaced one alone. A
-    real second press is worth hundreds, however the first is fitted.
+    The contact is half a wavelength off. Without a refit the removal of the false contact reduces
+    the likelihood; after the refit it does not. The evidence of a true second press is hundreds,
+    however the first is fitted.
     """
     samples, whiten = cycle_of(model, [(0.62, 4.5e-3)])
     start = of_contacts(model, [(0.616, 3.9e-3), (0.66, 3e-3)])
@@ -198,7 +199,7 @@ def test_contact_that_explains_a_misplaced_one_is_worth_nothing_once_that_is_fit
 
 
 def test_one_contact_takes_the_place_of_two_at_any_depth(model):
-    """Two that tell of one press at too small a depth: the one is found at its own."""
+    """A press represented by two contacts of too small depths becomes one of its own depth."""
     samples, whiten = cycle_of(model, [(0.62, 4.5e-3)])
     proposals = [Proposals(model, 0, model.base.noise(1))]
     start = of_contacts(model, [(0.612, 3e-3), (0.65, 2.5e-3)])
@@ -214,7 +215,7 @@ def test_one_contact_takes_the_place_of_two_at_any_depth(model):
 
 
 def test_tracker_drops_a_contact_beside_a_misplaced_one(model):
-    """Three quarters of a second after a press is told by two contacts it is told by one."""
+    """Three quarters of a second after a press is given as two contacts it is one."""
     tracker = ContactTracker(model)
     for i in range(20):
         tracker.update(counts([(0.62, 4.5e-3)], i))
@@ -226,7 +227,7 @@ def test_tracker_drops_a_contact_beside_a_misplaced_one(model):
         found = tracker.update(counts([(0.62, 4.5e-3)], i))
     assert [one.distance.value for one in found.contacts] == pytest.approx([0.62], abs=0.3e-3)
     assert [one.depth.value for one in found.contacts] == pytest.approx([4.5e-3], rel=0.05)
-    assert found.numbers == [1]  # of the one that had been there for longer
+    assert found.numbers == [1]  # that of the older one
     assert len(tracker.track.known) == 1
 
 
@@ -237,7 +238,7 @@ def test_cycle_of_another_length_is_refused(model):
 
 ECHOTUBE = Rangefinder(sampling_rate=80e3, n_samples=1600, bits=8, noise=1e-3, lead=0.0)
 FINE = Rangefinder(sampling_rate=240e3, n_samples=4800, noise=1e-3)
-"""The same cycle at three times the rate, at which the carrier is below the Nyquist rate."""
+"""The same cycle at three times the rate, at which the carrier is below the Nyquist frequency."""
 
 
 def folded(presses, number=0, rangefinder=ECHOTUBE):
@@ -265,7 +266,7 @@ def test_folded_baseband_is_that_of_undersampled_cycles():
     given, _ = base.of_cycles(digitise(voltage[::3].copy(), silent, np.array([0]), 3))
     place, depth = np.array([[0.8]]), np.array([[5.03e-3]])
     found, _ = ForwardModel(Library((tool(),)), base).baseband((0,), place, depth, np.zeros((1, 6)))
-    # As at 200 kHz, of the taper's sidelobes.
+    # As at 200 kHz, by the side lobes of the taper.
     assert np.abs(found[0] - given).max() < 5e-3 * np.abs(given).max()
     assert not given.imag.any()
 
@@ -276,7 +277,7 @@ def test_noise_of_a_folded_baseband_is_that_of_its_samples():
     rng, sigma = np.random.default_rng(1), plain.noise * base.per_volt
     cycles = sigma * rng.standard_normal((60, base.n_samples))
     variance = np.mean([base.of_cycles(one[None])[0].real ** 2 for one in cycles])
-    # The mean of 60 times 120 squares, without what the taper of the band takes.
+    # The mean of 60 times 120 squares, less the part removed by the taper of the band.
     assert variance == pytest.approx(base.noise(1) * np.mean(base.taper**2), rel=0.05)
 
 

@@ -1,4 +1,4 @@
-"""The commands train and evaluate on files, as a user meets them."""
+"""The commands train and evaluate on files."""
 
 import csv
 import json
@@ -73,7 +73,7 @@ def test_other_estimators_train_from_the_command_line_too(estimator):
 
 
 @pytest.mark.slow
-def test_what_labels_cannot_teach_is_told_in_a_sentence(recorded):
+def test_unsuitable_labels_are_refused_in_one_sentence(recorded):
     bare = recorded.drop_vars(["force", "depth", "true_distance"])
     recordings.write(bare, "a.nc")
     refused("no label true_distance or depth or force")
@@ -101,7 +101,7 @@ def test_wrong_words_are_refused_before_anything_is_read():
 
 
 @pytest.mark.slow
-def test_a_model_of_another_version_and_cycles_without_labels_are_told(recorded):
+def test_a_model_of_another_version_and_cycles_without_labels_are_refused(recorded):
     assert run_here(*ECHO, "--quiet").returncode == 0
     recordings.write(recorded.drop_vars(["force", "depth", "true_distance"]), "b.nc")
     refused("no label true_distance or depth or force", command=("evaluate", "m.model", "b.nc"))

@@ -1,4 +1,4 @@
-"""The tube's material constants, and the sizes that it refuses."""
+"""The tube's material constants, and sizes that are refused."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from acoustube.tube import Tube, shear_modulus_from_shore
 
 
 def test_shore_35_has_the_papers_shear_modulus():
-    """0.5074 MPa is what the paper rounds to; half of its last digit."""
+    """The paper rounds to 0.5074 MPa; the tolerance is half of the last digit."""
     assert shear_modulus_from_shore(35.0) == pytest.approx(0.5074e6, abs=50.0)
     assert Tube().shear_modulus == shear_modulus_from_shore(35.0)
 

@@ -1,4 +1,4 @@
-"""The twin of a sensor: its echoes, derivatives, fit and file, against sensors that are known."""
+"""The twin of a sensor: echoes, derivatives, fit and file, against sensors of known parameters."""
 
 import csv
 import re
@@ -43,7 +43,7 @@ SENSOR = Rangefinder(
 )  # fmt: skip
 PLACES = np.linspace(0.35, 1.6, 9)
 MISPLACED = 0.6e-3 * np.array([0.3, -1.2, 0.8, 1.1, -0.6, -1.4, 1.5, 0.1, -0.5])
-"""Errors in m of stated places, whose standard deviation is 0.6 mm."""
+"""Errors in m of stated positions; their standard deviation is 0.6 mm."""
 PRESSED, DEPTHS = np.array([0.5, 0.62, 0.71, 0.55]), np.array([3.2e-3, 4.1e-3, 5.3e-3, 4.6e-3])
 SOFTER, ZERO, COMPLIANCE = 0.8, 0.1e-3, 3e-5
 """Modulus over the library's, stated depth in m at first contact, and the ground's in m/N."""
@@ -60,7 +60,7 @@ def voltage(presses, sensor=SENSOR):
 
 
 def cycles_of(volts, seed, n=6, sensor=SENSOR):
-    """Counts of cycles whose trigger jitters by 0.4 us and whose gain wanders by 1 %."""
+    """Counts of cycles whose trigger has a jitter of 0.4 us and whose gain varies by 1 %."""
     random = np.random.default_rng(seed)
     spectrum = np.fft.rfft(volts, 2 * len(volts))
     omega = 2 * np.pi * np.fft.rfftfreq(2 * len(volts), 1 / sensor.sampling_rate)
@@ -74,7 +74,7 @@ def cycles_of(volts, seed, n=6, sensor=SENSOR):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """Folder with recordings of nine closures, 0.6 mm off their labels, and of the open tube."""
+    """Folder with recordings of nine closures, 0.6 mm off their labels, and of no contact."""
     folder = tmp_path_factory.mktemp("recorded")
     closed = [
         cycles_of(voltage([blockage(SIDES, place + error)]), k)
@@ -94,7 +94,7 @@ def recorded(tmp_path_factory):
 
 
 def pressed_cycles():
-    """Cycles and labels of three presses, of force and depth, and of one, of force alone."""
+    """Cycles and labels of three presses with force and depth, and of one with a force only."""
     speed, signal, force = air_at(AIR).sound_speed, [], []
     for k, (place, depth, scatter) in enumerate(
         zip(PRESSED, DEPTHS, (1.01, 0.98, 1.02, 0.99), strict=True)
@@ -115,7 +115,7 @@ def pressed_cycles():
 
 @pytest.fixture(scope="module")
 def made(recorded):
-    """Folder after the command, and its result."""
+    """Folder after the command, its output, and the file of the twin."""
     result = run_here(
         "twin", recorded / "closed.npz", recorded / "free.npz", "--out", recorded / "left.toml",
         "--figure", recorded / "twin.png", "--pressed", recorded / "pressed.npz",
@@ -147,9 +147,9 @@ def true_parameters():
 
 
 def test_echo_of_a_closure_is_that_of_the_rangefinder(band):
-    """The network of :func:`acoustube.waves.transfer`, in the time domain, to 1e-3 of the peak.
+    """The reference is :func:`acoustube.waves.transfer`, in the time domain, to 1e-3 of the peak.
 
-    Clutter is off; the rest is the ring-down's difference, and the cyclic time of both.
+    There is no clutter; the error is the difference of the ring-down, and the cyclic time of both.
     """
     quiet = replace(SENSOR, clutter=0.0, send=0.0)
     model = EchoModel(band, np.array([0.7]), np.array([REPORTED]), LENGTH / 2)
@@ -162,7 +162,7 @@ def test_echo_of_a_closure_is_that_of_the_rangefinder(band):
 
 @pytest.mark.parametrize("rate", [SENSOR.sampling_rate, 80e3])
 def test_derivatives_of_echoes_are_those_of_differences(rate):
-    """To 2e-4: the series over the closures' temperatures ends. At 80 kHz the carrier is folded."""
+    """To 2e-4: the series over the closures' temperatures is finite. 80 kHz folds the carrier."""
     band = Band(rate, 0.0, int(0.02 * rate), SENSOR.resonance, 0.8e-3)
     model = EchoModel(band, PLACES[:3], REPORTED + np.array([0.0, 0.7, -1.2]), 1.2, rate > 1e5)
     point = true_parameters() + shared(
@@ -212,7 +212,7 @@ def test_step_is_that_of_the_whole_system(band):
 
 
 def test_hidden_parameters_lie_within_their_deviations(made):
-    """Three standard deviations, each of which is a small part of its prior's."""
+    """Within three standard deviations, each of which is a small part of its prior's."""
     _, _, found = made
     for name, true, sharpest in (
         ("inner_diameter_mm", 2e3 * RADIUS, 0.05), ("resonance_khz", 43.1, 0.01),
@@ -227,7 +227,7 @@ def test_hidden_parameters_lie_within_their_deviations(made):
 
 
 def test_errors_of_the_places_are_found(made):
-    """Within three deviations, up to the line that the air's temperature may take up."""
+    """Within three deviations, up to a linear part that the air's temperature may explain."""
     _, _, found = made
     error = np.array([one["placement_error_mm"] for one in found["closures"]])
     deviation = np.array([one["placement_error_mm_sd"] for one in found["closures"]])
@@ -251,7 +251,7 @@ def test_file_is_a_sensor_for_other_commands(made):
 
 
 def test_twin_records_as_the_sensor_does(made):
-    """The echo of a closure where none was recorded, to 2 % of its energy's root."""
+    """The echo of a closure at a new position is right to 2 % of the root of its energy."""
     folder, _, found = made
     twin = rangefinder_of_file(folder / "left.toml")
     closed = [blockage(SIDES, 1.0)]
@@ -264,7 +264,7 @@ def test_twin_records_as_the_sensor_does(made):
     true = voltage(closed)[there]
     wave = 2 * np.pi * SENSOR.resonance / 343.0
     spectrum = np.fft.rfft(own[there])
-    # Up to the phase that a shift within the air's uncertainty has: twice the wavenumber by 2 m.
+    # Up to the phase of a shift within the air's uncertainty: twice the wavenumber times 2 m.
     shifts = np.linspace(-1, 1, 401) * 2 * wave * 0.3 * 0.00175
     left = min(
         np.linalg.norm(np.fft.irfft(spectrum * np.exp(1j * s), len(true)) - true) for s in shifts
@@ -272,8 +272,8 @@ def test_twin_records_as_the_sensor_does(made):
     assert left < 0.02 * np.linalg.norm(true)
 
 
-def test_presses_tell_the_wall_and_the_ground(made):
-    """Three standard deviations; a modulus 20 % under the library's, and a ground that yields."""
+def test_presses_determine_the_wall_and_the_ground(made):
+    """Three standard deviations: a modulus 20 % under the library's, a compliant ground."""
     folder, result, found = made
     library = open_library(folder / "lib").tools[0]
     for name, true, sharpest in (
@@ -292,7 +292,7 @@ def test_presses_tell_the_wall_and_the_ground(made):
 
 
 def test_inversion_takes_the_modulus_of_the_twin(made):
-    """Forces are in proportion, and their deviation holds that of the modulus."""
+    """Forces are proportional to the modulus, and their deviation includes that of the modulus."""
     folder, _, found = made
     library, sensor = open_library(folder / "lib"), read_sensor(folder / "left.toml")
     tool, own = library.tools[0], sensor.own(library).tools[0]
@@ -303,8 +303,8 @@ def test_inversion_takes_the_modulus_of_the_twin(made):
     assert own.force_deviation(4e-3) == pytest.approx(expected, rel=1e-6)
 
 
-def test_depths_alone_do_not_tell_the_modulus():
-    """The modulus keeps its prior, 50 %; an outlying force is named where others agree."""
+def test_depths_alone_do_not_determine_the_modulus():
+    """The modulus keeps its prior of 50 %; a force that contradicts the others is named."""
     stiff = tool(young_modulus=1.5e6)
     silent = [Press(stiff, d, 2e-5, d + 1e-4, np.nan) for d in DEPTHS]
     found = fit_material(silent)
@@ -323,8 +323,8 @@ def test_depths_alone_do_not_tell_the_modulus():
     assert abs(found.young_modulus.value - 1.8e6) < 3 * found.young_modulus.deviation
 
 
-def test_presses_of_stated_depth_tell_the_ground_by_the_librarys_force():
-    """On ground of 0.3 mm/N, of presses without a force: the origin stays at zero."""
+def test_presses_of_stated_depth_determine_the_ground_by_the_librarys_force():
+    """On ground of 0.3 mm/N, with presses without a force: the origin stays at zero."""
     known = tool(young_modulus=1.5e6)
     depths = np.linspace(2e-3, 6e-3, 5)
     presses = [
@@ -337,7 +337,7 @@ def test_presses_of_stated_depth_tell_the_ground_by_the_librarys_force():
 
 
 def test_modulus_and_hardness_are_determined_together():
-    """Of a wall a third as stiff as the library's."""
+    """For a wall a third as stiff as the library's."""
     known = tool(young_modulus=1.5e6)
     presses = [
         Press(known, float(d), 5e-4, np.nan, float(0.35 * known.force_at(d))) for d in DEPTHS
@@ -354,7 +354,7 @@ def test_modulus_and_hardness_are_determined_together():
 
 
 def test_cycles_of_one_press_are_one(made, tmp_path):
-    """120 cycles with one label say of its force what 6 do."""
+    """120 cycles with one label give as much information on its force as 6."""
     folder, _, _ = made
     few = dict(np.load(folder / "pressed.npz"))
     first = few["depth_mm"] == few["depth_mm"][0]
@@ -382,10 +382,11 @@ def test_presses_without_a_library_are_refused(recorded, tmp_path):
     assert "--pressed and --library go together" in " ".join(result.stderr.split())
 
 
-def test_process_with_the_twin_tells_closures_at_their_places(made):
-    """Within 5 mm: 0.6 mm of the places, the resonance's delay, and 0.2 K over 1.6 m.
+def test_process_with_the_twin_locates_closures_within_5_mm(made):
+    """Within 5 mm: 0.6 mm of the positions, the resonance's delay, and 0.2 K over 1.6 m.
 
-    Without it they are 4 cm off: by the maximum of the send pulse, and 1.6 K of the thermometer.
+    Without the twin they are 4 cm off: by the maximum of the send pulse, and 1.6 K of the
+    thermometer.
     """
     folder, _, _ = made
 
@@ -406,9 +407,10 @@ def test_process_with_the_twin_tells_closures_at_their_places(made):
 
 
 def test_twin_is_a_calibration(made):
-    """As one of recorded closures: its gain falls with distance; few untouched cycles have echoes.
+    """As one from recorded closures: its gain falls, and false detections are few.
 
-    Another file than a twin's is none, and a file of a sensor tells the thermometer's error alone.
+    A file that is not of a twin is no calibration; the file of a sensor gives the thermometer's
+    error only.
     """
     folder, _, found = made
     known, settings = chosen(str(folder / "left.toml"), None)
@@ -428,7 +430,7 @@ SESSIONS = 5
 
 @pytest.fixture(scope="module")
 def sessions(made, tmp_path_factory):
-    """Files of a twin in sessions of other temperatures and gains, and other clutter."""
+    """Files of a twin in sessions of other temperatures, gains and clutter."""
     folder, _, found = made
     text, random = (folder / "left.toml").read_text(), np.random.default_rng(3)
     where, paths = tmp_path_factory.mktemp("sessions"), []
@@ -450,7 +452,7 @@ def sessions(made, tmp_path_factory):
 
 
 def with_values(text, new):
-    """The text of a TOML file with other values of the first lines of names."""
+    """The text of a TOML file with new values in the first lines of given names."""
     for name, value in new.items():
         text, count = re.subn(
             rf"(?ms)^{name} = (\[.*?\]|[^\n]*)", f"{name} = {value}", text, count=1
@@ -459,8 +461,8 @@ def with_values(text, new):
     return text
 
 
-def test_sessions_tell_what_stays_and_what_wanders(sessions, made):
-    """The spread of the offsets is 1.58 K less that of the fits; the bore stays."""
+def test_sessions_determine_constant_and_variable_parameters(sessions, made):
+    """The spread of the offsets is 1.58 K less that of the fits; the bore is constant."""
     _, _, found = made
     settings, table = recipe_settings(sessions)
     rows = {one.name: one for one in table}
@@ -476,13 +478,13 @@ def test_sessions_tell_what_stays_and_what_wanders(sessions, made):
                                                   ddof=1), rel=0.02)  # fmt: skip
     assert settings["offset_deviation"] > 1.5
     assert settings["rangefinder"].gain == pytest.approx(rows["gain_v"].mean)
-    # Reflectors 1 mm apart that move by 1e-4.
+    # Reflectors 1 mm apart that change by 1e-4.
     assert settings["clutter_spread"] == pytest.approx(1e-8 / 1e-3, rel=0.1)
     assert settings["young_modulus"] == pytest.approx(1e6 * found["young_modulus_mpa"], rel=1e-6)
 
 
-def test_what_stays_is_drawn_without_a_spread(sessions, made, tmp_path):
-    """Gains that differ by a little more than their deviations, which chance explains."""
+def test_constant_parameters_are_drawn_without_a_spread(sessions, made, tmp_path):
+    """The gains differ by a little more than their deviations, which is compatible with chance."""
     _, _, found = made
     gains = found["gain_v"] * (1 + found["gain_v_sd"] / found["gain_v"] * np.array([0, 1.4, -1, 2]))
     paths = [tmp_path / f"{k}.toml" for k in range(4)]
@@ -496,7 +498,7 @@ def test_what_stays_is_drawn_without_a_spread(sessions, made, tmp_path):
     assert "gain" not in dict(settings["spread"])
 
 
-def test_sessions_are_drawn_from_what_wanders(sessions):
+def test_variable_parameters_are_drawn_for_each_session(sessions):
     """Gains of many sessions have mean and deviation of the twins; other parameters are fixed."""
     settings, _ = recipe_settings(sessions)
     recipe = Recipe(**settings)
@@ -544,7 +546,7 @@ def groups(recorded):
 
 @pytest.mark.slow
 def test_wrong_label_and_clipped_echo_are_left_out(recorded):
-    """A label that is 4 cm off, and an echo at full scale; the others tell the sensor."""
+    """A label 4 cm off, and an echo at full scale; the other closures determine the sensor."""
     closed, free = groups(recorded)
     closed[3] = replace(closed[3], place=closed[3].place + 0.04)
     loud = np.array(closed[1].cycles)
@@ -587,7 +589,7 @@ def test_bad_recordings_are_named_with_what_is_wrong(recorded, tmp_path, change,
 
 
 def test_untouched_tube_with_presses_is_refused():
-    """Its clutter is that of presses, 20 dB above the strongest of tubes."""
+    """Its estimated clutter is that of presses, 20 dB above the strongest clutter of tubes."""
     rest = SimpleNamespace(clutter=Measured(value=0.01, deviation=1e-3))
     with pytest.raises(ConfigError, match=r"free\.npz hold echoes along the whole tube"):
         _check_untouched(None, rest, Group(np.zeros((1, 9)), 20.0, source="free.npz"))
@@ -600,10 +602,11 @@ def test_slow_sampling_is_refused():
 
 
 @pytest.mark.slow
-def test_moist_air_is_told_to_be_colder(made):
-    """By the temperature that dry air needs for the same speed of sound, 1.2 K at 50 %.
+def test_moist_air_gives_a_lower_temperature(made):
+    """The difference is that at which dry air has the same speed of sound, 1.2 K at 50 %.
 
-    To 0.06 K, a quarter of its standard deviation: the variances of the residuals, too, are fitted.
+    To 0.06 K, a quarter of its standard deviation, as the variances of the residuals are fitted
+    too.
     """
     folder, _, dry = made
     words = ["twin", folder / "closed.npz", folder / "free.npz", "--humidity", 50, "--quiet"]
@@ -618,7 +621,7 @@ def test_moist_air_is_told_to_be_colder(made):
 
 
 def test_dataset_records_with_the_measured_clutter(made):
-    """Its echoes of the untouched tube are those recorded, where they exceed the noise."""
+    """The echoes of its untouched tube are the recorded ones where these exceed the noise."""
     folder, _, _ = made
     settings = twin_settings(folder / "left.toml")
     assert settings["offset_deviation"] < 0.5
@@ -656,7 +659,7 @@ def test_twin_that_gives_no_calibration_is_refused(made, tmp_path, new, part):
 
 
 def test_closure_beyond_the_end_of_the_tube_is_refused(recorded, tmp_path):
-    """By more than the thickness of a plug, 2 cm; the farthest closure is at 1.6 m."""
+    """The excess is more than the thickness of a plug, 2 cm; the farthest closure is at 1.6 m."""
     files, out = [recorded / name for name in ("closed.npz", "free.npz")], tmp_path / "left.toml"
     result = run_here("twin", *files, "--length", 150, "--out", out)
     assert result.returncode == 2
@@ -672,7 +675,7 @@ def test_closure_beyond_the_end_of_the_tube_is_refused(recorded, tmp_path):
 
 
 @pytest.mark.slow
-def test_cycles_of_8_bits_below_the_carrier_tell_the_sensor():
+def test_cycles_of_8_bits_at_80_khz_determine_the_sensor():
     """EchoTube's: every third sample at 240 kHz. Three deviations; the far closure is left out."""
     fine = replace(SENSOR, sampling_rate=240e3, n_samples=4800, gain=3.0)
     board = replace(fine, sampling_rate=80e3, n_samples=1600, bits=8, noise=1e-3)

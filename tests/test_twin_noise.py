@@ -1,4 +1,4 @@
-"""Noise of a twin's echoes: its density by residuals, and the covariance of the score."""
+"""Noise of a twin's echoes: its density from residuals, and the covariance of the score."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from acoustube.inversion.twin.noise import score_of, with_variances
 from acoustube.inversion.twin.posterior import _given, posterior
 
 CLUTTER, WHITE = 2e-4, 1e-3
-"""Part of the echo's power density, and variance, that the noise has."""
+"""Noise: its share of the echo's power density, and its white variance."""
 PLACES = np.linspace(0.4, 1.6, 9)
 
 
@@ -29,9 +29,9 @@ def closures():
 
 
 def density_of(model, value, segments):
-    """Power of echoes and variance of the noise's transform at each frequency, (n, n_t).
+    """Power of the echoes, and noise variance of the transform at each frequency, (n, n_t).
 
-    The band's ends are tapered, and with them the white noise.
+    The ends of the band are tapered, and with them the white noise.
     """
     power = np.abs(np.fft.fft(np.where(segments == 1, value, 0), axis=1, norm="ortho")) ** 2
     white = model.band.taper**2
@@ -39,7 +39,7 @@ def density_of(model, value, segments):
 
 
 def noise_of(density, random, *draws):
-    """Complex stationary noise of a density."""
+    """Complex stationary noise of a given density."""
     parts = random.normal(size=(2, *draws, *density.shape))
     return np.fft.ifft((parts[0] + 1j * parts[1]) * np.sqrt(density / 2), axis=-1, norm="ortho")
 
@@ -50,9 +50,9 @@ def data_of(values, segments, variance, clutter=0.0):
 
 
 def test_variance_of_noise_is_that_of_residuals_without_what_the_fit_takes(closures):
-    """In the mean over 12 draws: 0.93, as the median of the closures is less than their mean.
+    """The mean ratio over 12 draws is 0.93, as the median of the closures is less than their mean.
 
-    The fit takes a third of the residuals' power; the mean of the draws is good to 4 %.
+    The fit absorbs a third of the residuals' power; the mean of the draws is accurate to 4 %.
     """
     model, point, value, segments = closures
     power, density = density_of(model, value, segments)
@@ -76,7 +76,7 @@ def test_variance_of_noise_is_that_of_residuals_without_what_the_fit_takes(closu
 
 
 def test_covariance_of_the_score_is_that_of_draws(closures):
-    """Diagonals to 4.5 deviations of a variance by 3000 draws, which is 2.6 %."""
+    """Diagonals agree within 4.5 standard errors of a variance from 3000 draws, 2.6 % each."""
     model, point, value, segments = closures
     power, density = density_of(model, value, segments)
     variance = (density * power).sum(axis=1) / power.sum(axis=1)
@@ -94,7 +94,7 @@ def test_covariance_of_the_score_is_that_of_draws(closures):
 
 @pytest.fixture
 def white(closures, monkeypatch):
-    """Score and normal equations where the noise is white: its band has no tapered ends."""
+    """Score and normal equations for white noise: the ends of the band are not tapered."""
     model, point, value, segments = closures
     data = data_of(value, segments, np.linspace(1.0, 3.0, len(PLACES)))
     monkeypatch.setattr(model.band, "taper", np.ones_like(model.band.taper))
@@ -113,7 +113,7 @@ def test_score_of_white_noise_has_the_covariance_of_the_normal_equations(white):
 
 
 def test_covariance_with_that_score_is_the_posteriors(closures, white):
-    """White's covariance is the inverse of the information where the weights are the noise's.
+    """With weights of the noise the sandwich covariance is the inverse of the information.
 
     To 1e-3: products with the inverse of a matrix of condition 1e7, when scaled, lose digits.
     """
@@ -130,7 +130,7 @@ def test_covariance_with_that_score_is_the_posteriors(closures, white):
 
 
 def test_covariance_of_estimates_under_clutter_is_that_of_draws(closures):
-    """Linear estimates of 2000 draws of noise; variances to 4.5 deviations, which are 3.2 %."""
+    """Variances of linear estimates of 2000 draws agree within 4.5 standard errors, 3.2 % each."""
     model, point, value, segments = closures
     power, density = density_of(model, value, segments)
     variance = (density * power).sum(axis=1) / power.sum(axis=1)

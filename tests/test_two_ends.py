@@ -31,7 +31,7 @@ LENGTH = 1.6
 
 
 def recorded(presses, end, n_cycles=20):
-    """Cycles of the rangefinder at an end, 0 or 1; clutter and noise are its own."""
+    """Cycles of the rangefinder at an end, 0 or 1, with its own clutter and noise."""
     turned = [one.from_other_end(LENGTH) for one in presses] if end else presses
     return record(turned, n_cycles=n_cycles, length=LENGTH, tube_seed=7 + end, seed=3 + end)
 
@@ -75,7 +75,7 @@ def contact(places, depths, spread, weights=(0.7, 0.3), tool_number=0):
 
 @pytest.mark.slow
 def test_limit_of_detection_behind_a_press_is_that_of_the_other_end(ends):
-    """Of both ends together the lower one, each at its own distance."""
+    """The limit of both ends is the lower of the two, each at its own distance."""
     near, far = (
         one(recorded([press(6.5e-3, 0.6)], end)["signal"].values) for end, one in enumerate(ends)
     )
@@ -89,7 +89,7 @@ def test_limit_of_detection_behind_a_press_is_that_of_the_other_end(ends):
     assert here < there
     assert beyond < behind
     assert list(both_ends.detection_limit([0.4, 1.1])) == [here, beyond]
-    # An end that does not explain its echo does not count, unless neither does.
+    # An end with a misfit does not count, unless both have one.
     wrong = [dataclasses.replace(one, fits=False) for one in (near, far)]
     one_end = EndsContacts([], 0.3, False, near, (wrong[1], LENGTH))
     assert list(one_end.detection_limit([0.4, 1.1])) == [here, behind]
@@ -99,8 +99,8 @@ def test_limit_of_detection_behind_a_press_is_that_of_the_other_end(ends):
     assert list(alone.detection_limit([0.4, 1.1])) == [here, behind]
 
 
-def test_contact_that_both_tell_has_the_product_of_their_distributions():
-    """Of place and depth, on a grid; the error of the model in depth is not halved."""
+def test_contact_found_from_both_ends_has_the_product_of_distributions():
+    """For position and depth, on a grid; the error of the model in depth is not halved."""
     priors = Priors(depth=0.0, length=0.3e-3)
     near = contact([0.7, 0.704], [3e-3, 3.05e-3], (1e-3, 0.04e-3))
     far = contact([LENGTH - 0.7035, LENGTH - 0.6995], [3.02e-3, 2.9e-3], (2e-3, 0.05e-3))
@@ -154,15 +154,15 @@ def test_ends_that_contradict_each_other_are_not_averaged():
 
 
 def test_contacts_are_joined_with_their_nearest():
-    """The wider one is not joined with the neighbour's."""
+    """The contact of larger uncertainty is not joined with its neighbour's."""
     near = [contact([at, at], [3e-3, 3e-3], (8e-3, 1e-4)) for at in (0.90, 0.96)]
     far = [contact([LENGTH - 0.955] * 2, [3e-3, 3e-3], (1e-3, 1e-4))]
     found = joined_contacts(near, far, LENGTH, Library((tool(),)), Priors())
     assert [(one.near, one.far) for one in found] == [(0, None), (1, 0)]
 
 
-def test_press_behind_a_hard_one_is_told_from_the_other_end(ends):
-    """Of 2.5 mm behind one of 6.8 mm, whose trapped sound is louder at the near end."""
+def test_press_behind_a_deep_one_is_found_from_the_other_end(ends):
+    """A press of 2.5 mm behind one of 6.8 mm, whose trapped sound dominates at the near end."""
     near, far, found = both(ends, [press(6.8e-3, 0.45), press(2.5e-3, 0.95)], Priors())
     assert len(near.contacts) == 1
     assert len(far.contacts) == 2
@@ -170,8 +170,8 @@ def test_press_behind_a_hard_one_is_told_from_the_other_end(ends):
     assert [one.contact.depth.value for one in found] == pytest.approx([6.8e-3, 2.5e-3], abs=1.5e-4)
 
 
-def test_places_told_from_both_ends_have_no_other_half_wavelengths(ends):
-    """If the tube's length is known to 0.3 mm."""
+def test_positions_from_both_ends_have_no_half_wave_ambiguity(ends):
+    """The tube's length is known to 0.3 mm."""
     near, _, found = both(ends, [press(2e-3, 1.05)], Priors(length=0.3e-3))
     (joined,), (alone,) = found, near.contacts
     one = joined.contact
@@ -218,11 +218,11 @@ def test_command_joins_recordings_of_both_ends(folder, tmp_path):
     assert done.returncode == 0, done.stderr
     with (tmp_path / "l.csv").open(newline="") as file:
         limits = {float(row["distance_cm"]): row["depth_mm"] for row in csv.DictReader(file)}
-    # Near each end, which is not heard from there; no limit at the contacts.
+    # There are limits near each end, from the other one, and none at the contacts.
     assert min(limits) < 10
     assert max(limits) > 100 * LENGTH - 10
     assert not [z for z in limits if abs(z - 45) < 2.5 or abs(z - 95) < 2.5]
-    # Behind the first from either end, where one of them hears nothing else: from the other.
+    # Behind the first press of either end the limit is that of the other end.
     assert float(limits[70.2]) < 3
     assert float(limits[119.6]) < 3
     with (tmp_path / "c.csv").open(newline="") as file:

@@ -1,4 +1,4 @@
-"""The figures of the documentation run, and what they show is so."""
+"""The scripts of the documentation's figures run, and their results are as stated."""
 
 import runpy
 from pathlib import Path
@@ -10,12 +10,12 @@ SCRIPTS = Path(__file__).parents[1] / "docs" / "verification"
 
 @pytest.fixture(autouse=True)
 def _beside_the_scripts(monkeypatch):
-    """Run them where sphinx-gallery does; they read the tests' data and write nothing."""
+    """Run the scripts in their folder, as sphinx-gallery does; they write nothing."""
     monkeypatch.chdir(SCRIPTS)
 
 
 def run(name):
-    """Run a script, and return its variables."""
+    """Run a script and return its variables."""
     import matplotlib.pyplot as plt
 
     variables = runpy.run_path(f"{name}.py")
@@ -25,9 +25,9 @@ def run(name):
 
 
 def test_mesh_has_the_ring_s_area_to_fourth_order():
-    """Quadratic edges between points of a circle; 20 elements leave 1e-5. Gent's theory: 9 % off.
+    """Quadratic edges between points of a circle; 20 elements leave 1e-5. Gent's theory is 9 % off.
 
-    The elements are not of one size, which takes a little of the order: 3.73 from 6 to 16.
+    The elements are not of one size, which reduces the order a little: 3.73 from 6 to 16.
     """
     shown = run("tube_section_and_stiffness")
     assert shown["order"] > 3.6
@@ -47,7 +47,7 @@ def test_coarse_mesh_is_a_few_per_cent_stiffer_than_the_reference():
 
 @pytest.mark.slow
 def test_area_along_the_tube_is_the_reference_s_on_a_coarse_mesh_too():
-    """Measured 0.05 mm2 of 49, where the reference claims 0.03 to 0.06."""
+    """Measured 0.05 mm2 of 49, where the reference is accurate to 0.03 to 0.06."""
     assert run("lumen_area_along_the_tube")["worst"] < 0.08
 
 
@@ -62,19 +62,19 @@ def test_cut_ons_are_of_second_order_on_cut_cells_and_not_on_whole_ones():
 @pytest.mark.slow
 @pytest.mark.long
 def test_pinched_lumen_reflects_as_the_spectral_solution_says():
-    """Measured 0.0018 of R and 0.0037 of T at 16 cells, which twice as many cells bring to zero."""
+    """Measured 0.0018 of R and 0.0037 of T at 16 cells; both tend to zero with twice as many."""
     shown = run("waves_reflection")
     assert shown["error_r"].max() < 0.0025
     assert shown["error_t"].max() < 0.005
 
 
 def test_sharp_bend_passes_on_what_finite_elements_say():
-    """Measured 1.3e-4; the reference's own two meshes differ by 6e-4."""
+    """Measured 1.3e-4; the two meshes of the reference differ by 6e-4."""
     assert run("waves_bends")["error"] < 6e-4
 
 
-def test_closures_are_heard_as_loud_as_the_wide_tube_lets_them():
-    """Kirchhoff leaves out terms of the order of the layers over the bore: 0.2 % here, 0.1 dB."""
+def test_level_of_closures_is_that_of_a_wide_tube():
+    """Kirchhoff's formula neglects terms of the order of layer over bore: 0.2 % here, 0.1 dB."""
     shown = run("ranging_echo_of_a_closure")
     assert 0 < shown["at_carrier"] < 0.004
     assert shown["error"] < 0.2
@@ -82,7 +82,7 @@ def test_closures_are_heard_as_loud_as_the_wide_tube_lets_them():
 
 
 def test_spread_of_distances_is_as_stated_and_more_than_the_bound():
-    """Of 300 cycles a spread is known to 4 %; the law of the floor by sampling is a guess."""
+    """The spread of 300 cycles is known to 4 %; the law of the floor by sampling is approximate."""
     shown = run("signals_distance_in_noise")
     for name in ("matched", "plain"):
         _, spread, stated = shown["table"][name].T
@@ -92,8 +92,8 @@ def test_spread_of_distances_is_as_stated_and_more_than_the_bound():
 
 
 @pytest.mark.slow
-def test_intervals_hold_what_they_state():
-    """Chance: two deviations of 2000 rows are 1 to 2 points. The folds' mean adds a few at 50 %."""
+def test_intervals_have_the_stated_coverage():
+    """Two deviations of 2000 rows are 1 to 2 points. The folds' mean adds a few points at 50 %."""
     shown = run("estimation_coverage")
     difference = shown["held"] - shown["nominal"]
     assert (difference > -1.5 * shown["chance"]).all()
@@ -102,7 +102,7 @@ def test_intervals_hold_what_they_state():
 
 
 def test_length_along_the_tube_is_of_second_order():
-    """Trapezoidal rule; on a cylinder the density is constant, and only rounding is left."""
+    """Trapezoidal rule; on a cylinder the density is constant, and only rounding remains."""
     shown = run("sleeve_arc_length")
     assert shown["order"] == pytest.approx(2.0, abs=0.05)
     assert shown["usual"] < 1e-10
@@ -111,7 +111,7 @@ def test_length_along_the_tube_is_of_second_order():
 
 @pytest.mark.slow
 def test_modes_of_the_bore_are_where_bessel_s_zeros_put_them():
-    """Cut cells at 40 cells across, time steps included: 0.1 %."""
+    """Cut cells at 40 cells across, including the error of time steps: 0.1 %."""
     shown = run("physics_modes_of_the_bore")
     for name, exact in (("11c", 25.461), ("11s", 25.461), ("21c", 42.237), ("01", 52.988)):
         assert shown["cut_ons"][name] == pytest.approx(exact, rel=1.5e-3)
@@ -121,7 +121,7 @@ def test_modes_of_the_bore_are_where_bessel_s_zeros_put_them():
 @pytest.mark.slow
 @pytest.mark.long
 def test_upright_mode_is_cut_off_under_a_press_of_three_and_a_half_millimetres():
-    """As the scattering of the same rod: (1,1) returns whole from 3.5 mm on (findings)."""
+    """As for the same rod's scattering: (1,1) returns completely from 3.5 mm on (findings)."""
     assert 3.2 < run("physics_pressed_lumen")["blocked"] < 3.7
 
 
@@ -133,18 +133,18 @@ def test_sound_loses_fifteen_decibels_per_metre():
 
 @pytest.mark.slow
 @pytest.mark.long
-def test_little_of_what_comes_back_is_a_plane_wave():
-    """Power is conserved, measured to 3e-4; 2.9 % of it in the plane mode on this coarse grid.
+def test_plane_wave_has_a_small_share_of_the_reflected_power():
+    """Power is conserved, measured to 3e-4; 2.9 % of it is in the plane mode on this coarse grid.
 
-    On a grid half as fine again it is 3.8 %, and 4 % in the findings, held and finer still.
+    On a grid finer by half it is 3.8 %, and 4 % in the findings, held and finer still.
     """
     shown = run("physics_parts_of_the_echo")
     assert shown["balance"] < 1e-3
     assert shown["in_plane"] == pytest.approx(0.029, abs=0.003)
 
 
-def test_default_transducer_is_deaf_for_a_decimetre():
-    """11 cm, sought in steps of 1 cm; the whole processing needs 12 to 14 (the study of reach)."""
+def test_dead_zone_of_the_default_transducer_is_11_cm():
+    """11 cm, in steps of 1 cm; the whole processing needs 12 to 14 cm (the study of reach)."""
     shown = run("physics_what_the_transducer_hears")
     assert shown["dead_zone"] == pytest.approx(0.11, abs=0.0101)
 

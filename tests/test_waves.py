@@ -1,4 +1,4 @@
-"""The wave stage against duct acoustics in closed form."""
+"""The wave stage against closed forms of duct acoustics."""
 
 from dataclasses import replace
 
@@ -23,9 +23,10 @@ PULSE = Pulse(frequency=42e3)
 
 @pytest.mark.parametrize("end", [0.0, 0.37, 0.52, 0.9])
 def test_rigid_cap_returns_the_pulse(end):
-    """Cap anywhere within a cell: amplitude 1 within 1 %, delay within one time step.
+    """A cap anywhere within a cell: amplitude 1 within 1 %, delay within one time step.
 
-    Oracle: the image source. The delay is the peak of the cross-correlation with the pulse.
+    The reference is the image source. The delay is the peak of the cross-correlation with the
+    pulse.
     """
     spacing = grid_spacing(2 * BORE, 20)
     length = (100 + end) * spacing[2]
@@ -53,7 +54,7 @@ def matched_delay(signal, time, delay, dt):
 
 
 def test_release_end_reflects_with_opposite_sign():
-    """The echo off a cap returns from the source end as -1 times itself (image source)."""
+    """The echo of a cap returns from the source end with a factor of -1 (image source)."""
     spacing = grid_spacing(2 * BORE, 20)
     length = 0.06
     cells = cut_cells(straight_tube(length, sections=64), spacing, half=True)
@@ -68,7 +69,7 @@ def test_release_end_reflects_with_opposite_sign():
 
 
 def test_plane_wave_travels_without_dispersion():
-    """Fourth order: after 12 cm at 24 cells per bore the pulse is late by less than 0.01 %.
+    """At fourth order the pulse is late by less than 0.01 % after 12 cm at 24 cells per bore.
 
     The classic second-order stencil (beta = 0) is late by 0.3 % or more here.
     """
@@ -87,7 +88,7 @@ def test_plane_wave_travels_without_dispersion():
 
 
 def test_absorbing_ends_swallow_the_plane_wave():
-    """-60 dB or less behind the pulse, from both ends together."""
+    """The pressure behind the pulse is -60 dB or less, by both ends together."""
     cells = cut_cells(straight_tube(0.06, sections=64), grid_spacing(2 * BORE, 20), half=True)
     recording = propagate(
         cells, AIR, PULSE, duration=0.9e-3, probes=(0.02, 0.05), source_end="absorbing"
@@ -98,10 +99,10 @@ def test_absorbing_ends_swallow_the_plane_wave():
 
 
 def modal_signal(m, length, duration, resolution=20):
-    """A mode's amplitude 3 cm from a short packet of it, in a tube with absorbing ends."""
+    """Amplitude of a mode 3 cm from a short packet of it, in a tube with absorbing ends."""
     spacing = grid_spacing(2 * BORE, resolution)
     cells = cut_cells(straight_tube(length, sections=64), spacing, half=True)
-    # One step for all lengths; their own limits differ by 1e-5, which would pass for an echo.
+    # One time step for all lengths: the limits differ by 1e-5, which would look like an echo.
     step = 0.5 * spacing[0] / AIR.sound_speed
     setup = prepare(cells, AIR, probes=(0.09,), source_end="absorbing", time_step=step)
     x, y, z = (setup.cells.centres(axis) for axis in range(3))
@@ -120,7 +121,7 @@ def modal_signal(m, length, duration, resolution=20):
 def modal_reflection(m, frequencies, duration=1.2e-3, longer=0.30):
     """Reflection of a mode from the far absorber, by difference to a longer tube.
 
-    What differs until the longer tube's own end answers, after 1.3 ms, is the reflection.
+    The difference until the longer tube's own end answers, after 1.3 ms, is the reflection.
     """
     (near, dt), (far, _) = (modal_signal(m, length, duration) for length in (0.12, longer))
     n = min(len(near), len(far))
@@ -130,7 +131,7 @@ def modal_reflection(m, frequencies, duration=1.2e-3, longer=0.30):
 
 @pytest.mark.slow
 def test_absorbing_end_swallows_the_first_azimuthal_mode():
-    """(1,1) at 42 kHz: measured -139 dB at float32's floor; -100 leaves room for rounding."""
+    """(1,1) at 42 kHz: measured -139 dB, float32's floor; -100 leaves a margin for rounding."""
     assert modal_reflection(1, [42e3])[0] < 10 ** (-100 / 20)
 
 
@@ -150,7 +151,7 @@ def acoustic_energy(setup, state):
 
 
 def test_energy_is_conserved_to_rounding_in_float64():
-    """A closed pinched lumen keeps leapfrog's discrete energy; 1e-10 is float64 over 500 steps."""
+    """A closed pinched lumen conserves leapfrog's energy; 1e-10 is float64 over 500 steps."""
     cells = cut_cells(pinched_tube(0.012, 0.5), 2 * BORE / 12)
     with jax.enable_x64(True):
         setup, state = random_start(cells, jnp.float64)
@@ -179,7 +180,7 @@ def random_start(cells, dtype):
 
 
 def test_source_and_microphone_can_be_exchanged():
-    """Reciprocity: a unit volume impulse at a, heard at b, and the other way round."""
+    """A unit volume impulse at a gives the pressure at b that an impulse at b gives at a."""
     cells = cut_cells(pinched_tube(0.02, 0.5, centre=0.008), 2 * BORE / 12)
     spots = [(20, 10, 6), (13, 15, 24)]
     with jax.enable_x64(True):
@@ -203,7 +204,7 @@ def nearest_open(volume, spot):
 
 
 def test_step_over_the_limit_stops_with_advice():
-    """5 % over the limit (the default is 2 % under it) must blow up and be caught."""
+    """5 % above the limit (the default is 2 % below it) the march must diverge and be stopped."""
     cells = cut_cells(straight_tube(0.03, sections=64), grid_spacing(2 * BORE, 12), half=True)
     limit = stable_step(cells, AIR) / 0.98
     with pytest.raises(SimulationError, match="stable limit"):
@@ -236,7 +237,7 @@ def test_area_step_reflects_like_a_plane_wave_at_5_khz():
 
 
 def test_second_lumen_of_equal_shape_is_not_compiled_again(compilations):
-    """Coefficients are arguments of the compiled chunk, in either form."""
+    """Coefficients are arguments of the compiled function, in either form."""
     sizes = []
     for depth in (0.1, 0.2):
         cells = cut_cells(pinched_tube(0.015, depth), 2 * BORE / 10, half=True)
@@ -248,7 +249,7 @@ def test_second_lumen_of_equal_shape_is_not_compiled_again(compilations):
 
 
 def test_recording_lasts_as_long_as_asked():
-    """A whole number of chunks is marched, and what is over is cut off."""
+    """A whole number of chunks is marched, and the excess is cut off."""
     cells = cut_cells(straight_tube(0.015, sections=64), 2 * BORE / 10, half=True)
     for duration in (0.30e-3, 0.43e-3):
         recording = propagate(cells, AIR, PULSE, duration=duration, probes=(0.01,))
@@ -256,7 +257,7 @@ def test_recording_lasts_as_long_as_asked():
 
 
 def test_progress_reaches_one():
-    """Fractions rise chunk by chunk and end at 1."""
+    """Fractions increase chunk by chunk and end at 1."""
     cells = cut_cells(straight_tube(0.03, sections=64), grid_spacing(2 * BORE, 10), half=True)
     fractions = []
     recording = propagate(cells, AIR, PULSE, duration=0.5e-3, progress=fractions.append)
@@ -285,7 +286,7 @@ def test_probe_plane_is_a_layer_of_cell_centres():
 
 
 def test_echo_is_differentiated_by_the_fractions_of_the_cells():
-    """Of a pinched tube on 8 cells across, through 150 steps, against central differences: 1e-6.
+    """Derivatives through 150 steps in a pinched tube on 8 cells equal central differences: 1e-6.
 
     Steps of 1e-6 in float64 leave rounding of 1e-9 and a curvature of 1e-11, relative to the sum.
     """

@@ -1,4 +1,4 @@
-"""Inversion of wrapped tubes: bent modes, forward model, Jacobian, presses found again, files."""
+"""Inversion of wrapped tubes: bent modes, forward model, Jacobian, estimated presses, files."""
 
 import dataclasses
 from functools import cache
@@ -49,7 +49,7 @@ def wavenumbers(names, frequency):
 
 @pytest.mark.parametrize("torsion", [0.0, 3.4])
 def test_bent_modes_join_to_the_scattering_of_a_bend(torsion):
-    """A bend between straight ends, by its modes and two joints, and by the multimodal method."""
+    """A bend between straight ends, by its modes and two joints, against the multimodal method."""
     frequency, length = np.linspace(36.5e3, 47.5e3, 12), 0.2
     part = Bent(length=length, curvature=25.0, torsion=torsion)
     own = bent_modes(AIR, frequency, part, radius=RADIUS, modes=NAMES, count=3)
@@ -62,7 +62,7 @@ def test_bent_modes_join_to_the_scattering_of_a_bend(torsion):
         own.signs[:, None] * own.returned * own.signs + into.swapaxes(1, 2) @ inner @ once @ into
     )
     s = joined_bends(AIR, frequency, [part], radius=RADIUS, modes=NAMES, highest=8.0).s
-    # The modes (2,1), next to their cut-on at 42.3 kHz, carry a thousandth of the power.
+    # The modes (2,1), near their cut-on at 42.3 kHz, carry a thousandth of the power.
     for out, into_mode in ((0, 0), (1, 0), (1, 1), (3, 0), (3, 1)):
         off = through[:, out, into_mode] - s[:, 1, out, 0, into_mode]
         assert np.abs(off).max() < 5e-3
@@ -81,7 +81,7 @@ def test_more_bent_modes_than_are_computed_are_refused():
 def by_network(frequency, places, depths):
     """Return the echo at the face of presses on the wrap, by star products of all modes of bends.
 
-    Of 5 cm and constant curvature each; antisymmetric modes pass the presses.
+    The bends have 5 cm and constant curvature each; presses transmit antisymmetric modes unchanged.
     """
     propagates = frequency[:, None] > np.append(CUT_ONS, CUT_ONS[1:])
     k, m = wavenumbers(NAMES, frequency), len(NAMES)
@@ -122,9 +122,9 @@ def by_network(frequency, places, depths):
     ("places", "tolerance"), [([0.4], 0.012), ([1.3], 0.01), ([0.6, 1.1], 0.006)]
 )
 def test_echo_of_a_wrapped_tube_is_that_of_its_bends_in_series(places, tolerance):
-    """The change of the echo from 2 to 5 mm: what the presses do not change is not in the model.
+    """The change of the echo from depths of 2 to 5 mm is compared: the rest is not in the model.
 
-    Without antisymmetric modes between face and wrap the echo of two is off by 1.4 %.
+    Without antisymmetric modes between face and wrap the echo of two would be off by 1.4 %.
     """
     frequency = np.linspace(36.5e3, 47.5e3, 12)
     k, cold = wavenumbers(MODES, frequency), np.zeros(1)
@@ -148,7 +148,7 @@ def model():
 
 @pytest.mark.parametrize("places", [[0.52], [0.47, 0.66]])
 def test_jacobian_of_a_wrapped_tube_is_that_of_differences(model, places):
-    """By fourth-order differences."""
+    """The reference is fourth-order differences."""
     m = len(places)
     presses = np.column_stack([np.array(places) + 3e-3, [4.31e-3, 5.13e-3][:m]])
     start = np.concatenate([np.ravel(presses), [0.13, 0.02, -0.03, 4e-4, 0.01, 7e-4]])
@@ -167,7 +167,7 @@ def test_jacobian_of_a_wrapped_tube_is_that_of_differences(model, places):
 
 
 def masked(depth, frequency):
-    """Return scattering of modes above their cut-ons alone, (n, n_f, 2, 3, 2, 3)."""
+    """Return the scattering with zeros for modes below their cut-ons, (n, n_f, 2, 3, 2, 3)."""
     above = frequency[:, None] > CUT_ONS
     return scattering(depth, frequency) * (
         above[:, None, :, None, None] * above[:, None, None, None, :]
@@ -179,12 +179,12 @@ FREQUENCY = np.arange(20e3, 62e3, 100.0)
 
 @cache
 def bends_between(*places):
-    """The bends of the arm before, between and behind presses at places."""
+    """Bends of the arm before, between and behind presses at given positions."""
     return windings(HELIX, AIR, FREQUENCY, places, reach=WRAP.reach, radius=RADIUS, modes=MODES)
 
 
 def wrapped_presses(*contacts):
-    """Presses of depths at places on the arm, between bends."""
+    """Presses of given depths at positions on the arm, between bends."""
     placed = [
         PlacedScatterer(
             ModalScattering(
@@ -201,7 +201,7 @@ def wrapped_presses(*contacts):
 
 
 def untouched():
-    """The bends of the arm without a press."""
+    """Bends of the arm without a press."""
     return list(bends_between())
 
 
@@ -211,8 +211,8 @@ def wrapped_cycles(depth, place, seed, n_cycles=20):
     return record(presses, radius=RADIUS, n_cycles=n_cycles, seed=seed, temperature=20.0)
 
 
-def test_far_end_behind_a_press_on_an_arm_sounds_as_it_is_recorded():
-    """The echo of the far end, which the press dims and delays, in cycles with little noise."""
+def test_modelled_far_end_behind_a_press_on_an_arm_is_the_recorded_one():
+    """The press attenuates and delays the echo of the far end, in cycles with little noise."""
     rangefinder = Rangefinder(clutter=1e-12, noise=1e-6, bits=16, gain=50.0, far_reflection=0.3)
     tube = {"radius": RADIUS, "length": 2.5, "temperature": 20.0, "n_cycles": 1, "seed": 1}
     bends = untouched()
@@ -239,15 +239,16 @@ def test_press_on_an_arm_is_found_at_its_place_and_depth(model):
     contact = found.contacts[0]
     assert contact.distance.value == pytest.approx(0.52, abs=0.5e-3)
     assert contact.depth.value == pytest.approx(4.3e-3, abs=0.15e-3)
-    # The plane wave is back later than along a straight tube of this length.
+    # The plane wave returns later than along a straight tube of this length.
     assert np.interp(0.52, found.place, model.base.window) > 1.02 * 2 * 0.52 / AIR.sound_speed
 
 
 @pytest.mark.slow
-def test_press_on_an_arm_is_found_from_the_limit_of_detection_on(model):
-    """Behind a hard one, as measured from 0.6 mm less on: errors of 6 % are allowed for.
+def test_press_on_an_arm_is_found_beyond_the_limit_of_detection(model):
+    """Behind a deep press; measured, presses are found from 0.6 mm below the limit on.
 
-    There is no limit in the lead, where no press is sought.
+    The limit allows for model errors of 6 %. There is no limit in the lead, where no press is
+    sought.
     """
 
     def found(*contacts):
@@ -306,7 +307,7 @@ def test_wrap_beyond_the_tube_has_no_place_for_a_press():
 
 @pytest.mark.slow
 def test_contact_on_an_arm_is_followed(model):
-    """Of a tube whose clutter is known; it moves by 0.5 mm and deepens."""
+    """In a tube with known clutter the contact moves by 0.5 mm and gets deeper."""
     free = record(untouched(), radius=RADIUS, n_cycles=30, seed=2, temperature=20.0)
     clutter = measured_clutter(model.base, free["signal"].values)
     tracker = ContactTracker(ForwardModel(model.tool_library, model.base, clutter))

@@ -1,4 +1,4 @@
-"""The fast sensor on an arm: bent modes, presses between bends, cycles of the full chain."""
+"""The fast sensor on an arm: bent modes, presses between bends, against the full chain."""
 
 import dataclasses
 
@@ -23,7 +23,7 @@ from acoustube.waves.bent_modes import bent_modes
 QUIET = Rangefinder(noise=0.0, drift=0.0, quantised=False)
 LENGTH = HELIX.tube_length
 COARSE = 5e-3
-"""Tolerance of tables between depths; at the library's depths they are exact."""
+"""Tolerance of tables between depths; they are exact at the library's depths."""
 
 
 @pytest.fixture(scope="module")
@@ -62,13 +62,13 @@ def echo(sensor, place, depth):
 
 @pytest.fixture(scope="module")
 def free():
-    """The untouched tube by the bends in series."""
+    """Cycle of the untouched tube, by the bends in series."""
     return record(untouched(), QUIET, length=LENGTH, tube_seed=7)["signal"].values[0]
 
 
 @pytest.mark.parametrize("torsion", [0.0, 3.4])
 def test_bent_modes_continue_to_complex_frequencies(torsion):
-    """By Taylor's series from real ones, to second order; its next term is 1e-6."""
+    """By Taylor's series from real frequencies, to second order; the next term is 1e-6."""
     frequency, below = np.arange(38e3, 41e3, 20.0), 57.0
     part = Bent(length=1.0, curvature=20.0, torsion=torsion)
     real, there = (
@@ -89,7 +89,7 @@ def test_bent_modes_continue_to_complex_frequencies(torsion):
     "contacts", [[(0.47, 4e-3)], [(1.3, 6e-3)], [(0.4, 3e-3), (0.9, 4e-3), (1.5, 5e-3)]]
 )
 def test_echo_is_that_of_the_inversions_network_at_complex_frequencies(library, silent, contacts):
-    """In single precision, with matrices interpolated between nine places along the arm."""
+    """In single precision, with matrices interpolated between nine positions along the arm."""
     made = silent
     place, depth = np.array(contacts).T
     found = echo(made, place, depth)
@@ -112,7 +112,7 @@ def test_echo_is_that_of_the_inversions_network_at_complex_frequencies(library, 
 
 
 def test_wave_at_the_face_is_that_of_all_its_modes(library):
-    """By the modes at the joint, against the solution with all modes at the face."""
+    """From the modes at the joint, against the solution for all modes at the face."""
     device = dataclasses.replace(QUIET, face_reflection=0.95, clutter=0.0, far_reflection=0.5)
     made = TubeSensor(library, device, length=LENGTH, wrap=WRAP, tolerance=COARSE)
     exact = made._parts.untouched
@@ -122,9 +122,9 @@ def test_wave_at_the_face_is_that_of_all_its_modes(library):
 
 @pytest.mark.parametrize("contacts", [[(1.3, 6e-3)], [(0.8, 6e-3), (1.4, 5e-3)]])
 def test_cycle_on_an_arm_is_that_of_the_bends_in_series(sensor, free, straight, contacts):
-    """Which keep their curvature over half a turn each: by that they are 1 to 2 % off themselves.
+    """Cycles agree with those of bends of constant curvature over half a turn each, within 3 %.
 
-    A straight tube's echoes are far from it.
+    The bends' own error is 1 to 2 %. Echoes in a straight tube differ by far more.
     """
     given = [Contact(place=z, depth=d) for z, d in contacts]
     placed = wrapped_presses(*((d, z) for z, d in contacts))
@@ -136,7 +136,7 @@ def test_cycle_on_an_arm_is_that_of_the_bends_in_series(sensor, free, straight, 
 
 
 def test_untouched_tube_is_that_of_the_bends_in_series(sensor, free):
-    """Clutter and far end, along half turns of constant curvature there; 4 % differ."""
+    """Clutter and far end; the reference has half turns of constant curvature, and 4 % differ."""
     late = slice(round(2 * 0.4 / 343 * QUIET.sampling_rate), None)
     found, exact = (one[late] - np.median(one) for one in (sensor.read([]), free))
     assert np.linalg.norm(found - exact) < 0.06 * np.linalg.norm(exact)
@@ -145,7 +145,7 @@ def test_untouched_tube_is_that_of_the_bends_in_series(sensor, free):
 
 
 def test_shallow_contacts_fade_to_the_untouched_tube(sensor):
-    """At any place, although the tube is taken as straight under deeper ones."""
+    """At any position, although the tube is taken as straight under deeper contacts."""
     quiet = sensor.read([])
     sizes = [
         np.linalg.norm(sensor.read([Contact(place=0.61, depth=d)]) - quiet)
@@ -179,8 +179,8 @@ def test_wrap_that_does_not_fit_its_tube_is_one_sentence(library):
         TubeSensor(library, QUIET, length=1.0, wrap=short)
 
 
-def test_tool_among_several_sounds_as_alone(library, sensor):
-    """Rows and weights of two tools at two places go together."""
+def test_echo_of_a_tool_is_the_same_in_a_library_of_several(library, sensor):
+    """Rows and weights of two tools at two positions correspond."""
     (own,) = library.tools
     half = dataclasses.replace(own, diameter=15e-3, s=own.s * 0.5)
     several = TubeSensor(Library((half, own)), QUIET, length=LENGTH, tube_seed=7, wrap=WRAP,

@@ -1,4 +1,4 @@
-"""A wrapped tube with presses in a cascade: against one bend, and against a straight tube."""
+"""A wrapped tube with presses, as a cascade: against one bend and against a straight tube."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ FOREARM = Helix(radius=0.04, taper=0.03, length=0.14, loops=4, lead=0.15)
 
 
 def press(position, reflection=0.0):
-    """Return a press that reflects a share of both modes and lets the rest of the power pass."""
+    """Return a press that reflects a share of both modes and transmits the rest of the power."""
     n = len(MODES)
     through = 1j * np.sqrt(1 - reflection**2) if reflection else 1.0
     s = np.zeros((len(BAND), 2, n, 2, n), complex)
@@ -66,7 +66,7 @@ def test_pieces_fill_the_wrap_but_for_what_the_presses_keep_straight():
 
 
 def test_arm_that_is_hardly_curved_is_a_straight_tube():
-    """A radius of 40 m: what it converts is under 1e-6 of the power."""
+    """The radius is 40 m: under 1e-6 of the power is converted."""
     wide = Helix(radius=40.0, length=1e-3, loops=0.004, lead=0.15)
     echo = [press(0.5, 0.3)]
     bent = wrapped(wide, echo, AIR, radius=BORE, reach=REACH)
@@ -76,9 +76,9 @@ def test_arm_that_is_hardly_curved_is_a_straight_tube():
 
 @pytest.mark.parametrize("step", [100.0, 300.0])
 def test_wrap_of_a_metre_is_known_between_its_frequencies(step):
-    """Interpolated over steps that presses may have, against bends computed at the frequencies.
+    """Interpolated over steps as of presses, against bends computed at the frequencies.
 
-    Of parts a quarter as long, with modes of larger wavenumbers.
+    The reference has parts a quarter as long, and modes of larger wavenumbers.
     """
     stop, at = FOREARM.tube_length, FOREARM.tube_length + 1e-6
     f = np.sort(np.random.default_rng(2).uniform(36e3, 48e3, 25))
@@ -108,7 +108,8 @@ def test_wrap_of_a_metre_is_known_between_its_frequencies(step):
 def test_wrap_is_interpolated_relative_to_its_plane_wave():
     """Between frequencies 100 Hz apart, against the same bends computed there.
 
-    With the delay interpolated too, 3.1 ms of a period of 10 ms, the plane wave is off by 2e-3.
+    Were the delay of 3.1 ms, in a period of 10 ms, interpolated too, the plane wave would be off by
+    2e-3.
     """
     names = with_antisymmetric(MODES)
     here, there = (

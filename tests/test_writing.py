@@ -1,4 +1,4 @@
-"""Outputs appear in one step, complete or not at all, and never over what others have written."""
+"""Outputs appear in one step, complete or not at all, and replace no files of others."""
 
 import ast
 import errno
@@ -38,7 +38,7 @@ def names(folder="."):
 
 @pytest.fixture
 def small_disk():
-    """Let files of over 3000 bytes end half way, as on a full disk."""
+    """Limit files to 3000 bytes, so that longer writes fail as on a full disk."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (3000, before[1]))
@@ -114,7 +114,7 @@ def test_full_disk_names_the_file_and_the_space_and_leaves_nothing():
      (False, "pathlib.Path.replace"), (False, "os.path.lexists")],
 )  # fmt: skip
 def test_file_that_grows_is_never_without_its_head(links, step, monkeypatch):
-    """An interrupt at any step leaves no file, or one with a head; a taken name is refused."""
+    """An interrupt at any step leaves no file, or one with a head; an existing name is refused."""
     if not links:
         refused = Mock(side_effect=OSError(errno.EPERM, "no links here"))
         monkeypatch.setattr("os.link", refused)
@@ -153,7 +153,7 @@ def test_file_that_cannot_be_written_for_another_reason_is_a_wrong_name():
 @pytest.mark.usefixtures("small_disk")
 @pytest.mark.parametrize("kind", ["vtp", "vtu"])
 def test_vtk_survives_a_full_disk(kind):
-    """Which ends the process with ``free(): invalid pointer`` where it writes the file itself."""
+    """VTK would end the process with ``free(): invalid pointer`` if it wrote the file itself."""
     import pyvista
 
     points = np.random.default_rng(0).random((500, 3))
@@ -190,7 +190,7 @@ def test_remnant_of_a_killed_run_is_told_and_cleared():
     assert hidden.startswith(".acoustube-partial-")
     (found,) = remnants.remnants()
     assert (found.path.name, found.size) == (hidden, 4)
-    with partial_folder("other"):  # which is being made
+    with partial_folder("other"):  # in the making
         assert [remnant.path.name for remnant in remnants.remnants()] == [hidden]
         cleared = run_here("cache", "clear")
     assert cleared.stdout.startswith("deleted 0 results and 1 incomplete output")
@@ -225,7 +225,7 @@ def test_interrupt_in_a_destructor_is_not_lost():
 
 
 def test_second_interrupt_while_a_lost_one_is_raised_again_is_not_lost(monkeypatch, capfd):
-    """In the hook that raises it again Python would print and ignore it."""
+    """In the hook that raises the first one again Python would print and ignore it."""
     again, sent = interrupts._Interrupt.again, []
 
     def interrupted(handler):
@@ -261,7 +261,7 @@ def test_interrupt_that_a_library_takes_for_an_error_is_one(monkeypatch, capsys)
 
 
 def test_interrupt_during_the_last_import_is_not_too_late(monkeypatch, capsys, tmp_path):
-    """The command ends before it would be raised; it ends as interrupted all the same."""
+    """The command would end before the interrupt is raised; it ends as interrupted all the same."""
     (tmp_path / "importing.py").write_text(
         "import os\nos.kill(os.getpid(), 2)\nx = sum(range(9))\n"
     )
@@ -326,7 +326,7 @@ def test_command_that_is_stuck_ends_in_time_after_an_interrupt(name, times):
             "PYTHONIOENCODING=ascii {} cite nö.npz"],
 )  # fmt: skip
 def test_closed_streams_odd_locales_and_narrow_terminals_are_ordinary(how):
-    """Where the terminal has no such letter, its code is printed."""
+    """Where the terminal lacks a letter, its code is printed."""
     command = how.format(f"{sys.executable} -m acoustube")
     result = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
     assert not re.search("Traceback|Error|Exception", result.stderr)
@@ -335,7 +335,7 @@ def test_closed_streams_odd_locales_and_narrow_terminals_are_ordinary(how):
 
 
 def test_full_standard_output_is_named():
-    """Rather than "[Errno 28]" without a file."""
+    """The message names it, rather than "[Errno 28]" without a file."""
     if not Path("/dev/full").exists():
         pytest.skip("needs /dev/full")
     with Path("/dev/full").open("w") as full:
@@ -352,7 +352,7 @@ def test_full_standard_output_is_named():
 def test_commands_that_are_ended_at_random_moments_leave_whole_outputs_or_none(
     tmp_path, monkeypatch
 ):
-    """One of what ``python -m tests.fuzz.kills`` does by the hundred, another in each run."""
+    """One trial of ``python -m tests.fuzz.kills``, another one in each run."""
     monkeypatch.syspath_prepend(Path(__file__).parents[1])
     from tests.fuzz import kills
     from tests.fuzz.corpus import recording
@@ -371,12 +371,12 @@ MAY_WRITE = {
     "base/console.py", "base/remnants.py", "base/writing.py", "reports/scenes/offscreen.py",
     "reports/scenes/sleeve.py",
 }  # fmt: skip
-"""What no user sees, or what is in a folder for the moment."""
+"""Modules that write files that no user sees, or files of a temporary folder."""
 MAY_REPLACE = {
     "cli/reproduce.py", "recordings/reading.py", "reports/studies/report.py",
     "runs/libraries/files.py", "runs/sweep/dataset.py", "runs/sweep/run.py", "runs/sweep/store.py",
 }  # fmt: skip
-"""What belongs to a folder that is worked on again; and `recordings.write`, as documented."""
+"""Modules that replace files in resumed folders; and `recordings.write`, as documented."""
 
 
 def writers(tree):
@@ -404,7 +404,7 @@ def test_every_output_is_written_in_one_place_and_replaces_nothing():
 
 
 def test_second_of_two_commands_with_one_output_keeps_the_first(monkeypatch):
-    """They began together, and the other was sooner."""
+    """Both began at the same time, and the other one ended first."""
     signal = np.random.default_rng(0).normal(size=(3, 4000))
     np.savez("a.npz", signal=signal, sampling_rate=200e3, temperature=20.0)
     put = writing._to_disk
@@ -440,7 +440,7 @@ def test_full_disk_leaves_no_empty_picture_that_blocks_the_repeated_command(monk
 
 
 def test_full_disk_costs_neither_a_press_nor_the_repeated_command(monkeypatch):
-    """The press is in the cache before anything is written, and no folder is left."""
+    """The press is cached before anything is written, and no folder remains."""
     monkeypatch.syspath_prepend(Path(__file__).parents[1])
     from acoustube.indentation import restored
     from acoustube.runs import presses
@@ -475,7 +475,7 @@ def test_full_disk_costs_neither_a_press_nor_the_repeated_command(monkeypatch):
 
 
 def test_full_disk_does_not_cost_a_scattering_matrix(monkeypatch):
-    """The repeated command finds it in the cache, and says so before."""
+    """The repeated command finds the matrix in the cache, as the error states."""
     import trimesh
 
     from acoustube.ranging import blockage

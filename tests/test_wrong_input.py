@@ -1,7 +1,7 @@
-"""What a new user may get wrong, command by command: one sentence each, and nothing is lost.
+"""Errors of new users, command by command: one sentence each, and no file is lost.
 
-What `simulate` and `indent` refuse of their settings is in `test_cli`, wrong plans are in
-`test_sweep_plan`, surfaces in `test_scatter`, recordings in `test_recordings`.
+Settings refused by `simulate` and `indent` are in `test_cli`, wrong plans in `test_sweep_plan`,
+surfaces in `test_scatter`, recordings in `test_recordings`.
 """
 
 from pathlib import Path
@@ -15,7 +15,7 @@ from acoustube.cli import main
 
 @pytest.fixture
 def files(tmp_path):
-    """A folder of what lies around: files of the wrong kind, a recording without labels."""
+    """A folder with files of wrong formats, and a recording without labels."""
     (tmp_path / "text.txt").write_text("hello\n")
     (tmp_path / "bad.toml").write_text("a = \n")
     (tmp_path / "empty.csv").write_text("")
@@ -174,7 +174,7 @@ def test_what_is_wrong_is_said_in_one_sentence(words, files, capsys):
 @pytest.mark.parametrize("command", ["show . --out a.png", "export . --out new", "cite ."])
 @pytest.mark.parametrize("kind", ["damaged", "foreign"])
 def test_file_that_is_no_sweeps_is_named_with_what_to_do(kind, command, tmp_path, capsys):
-    """Both under the name of a sweep's file: one is damaged, one another program wrote."""
+    """Two files with the name of a sweep's file: one is damaged, one is of another program."""
     path = tmp_path / "cases-1.nc"
     xr.Dataset({"x": ("press", [1.0, 2.0])}).to_netcdf(path, engine="h5netcdf")
     if kind == "damaged":
@@ -208,7 +208,7 @@ def test_file_that_is_no_sweeps_is_named_with_what_to_do(kind, command, tmp_path
 def test_recording_that_cannot_be_processed_is_named_and_the_rest_goes_on(
     words, part, files, capsys
 ):
-    """Exit code 1 where the second file was processed, and 2 where nothing was, nor written."""
+    """Exit code 1 where the second file is processed, and 2 where nothing is, or written."""
     before = content(files)
     other = "good.npz" if "--" not in words else ""
     code = main(["process", *words.split(), *other.split(), "--out", "new.csv"])

@@ -20,8 +20,8 @@ GAUSS = ((-np.sqrt(0.6), 5 / 9), (0.0, 8 / 9), (np.sqrt(0.6), 5 / 9))
 def by_finite_elements(frequency, k, n=60):
     """Displacement of the inner wall per pressure, by quadratic elements with linear pressure.
 
-    Taylor and Hood's pair along the radius; the axial displacement is j times an unknown, so that
-    with a real wavenumber the form is symmetric.
+    Taylor and Hood's pair in the radial direction; the axial displacement is j times an unknown, so
+    that for a real wavenumber the form is symmetric.
     """
     modulus = WALL.shear_modulus * (1 + 1j * WALL.loss_factor)
     omega = 2 * np.pi * frequency
@@ -58,14 +58,14 @@ def by_finite_elements(frequency, k, n=60):
 
 @pytest.mark.parametrize("frequency", FREQUENCY)
 def test_wall_moves_as_finite_elements_do(frequency):
-    """From 1 to 60 kHz, with the wave along the tube; 60 elements to 1e-3."""
+    """From 1 to 60 kHz, with a wave along the tube; 60 elements are accurate to 1e-3."""
     k = 2 * np.pi * frequency / AIR.sound_speed
     exact = wall_compliance(frequency, k, RADIUS, WALL)[0]
     assert abs(by_finite_elements(frequency, k) - exact) < 1e-3 * abs(exact)
 
 
 def test_long_wave_moves_the_wall_as_a_ring():
-    """To 2e-3 at a wave a thousand times as long as the bore is wide."""
+    """To 2e-3 for a wavelength a thousand times the width of the bore."""
     k = np.full(3, 2 * np.pi / (2000 * RADIUS))
     frequency = np.array([200.0, 1e3, 5e3])
     a, b = RADIUS, RADIUS + WALL.thickness
@@ -77,7 +77,7 @@ def test_long_wave_moves_the_wall_as_a_ring():
 
 
 def test_speed_rises_by_the_walls_inertia_and_is_the_rigid_walls_in_the_limit():
-    """By 0.66 % at 10 kHz, as a ring, and an order less at 42 kHz; heavy walls do not move."""
+    """By 0.66 % at 10 kHz, as for a ring, and an order less at 42 kHz; heavy walls do not move."""
     rigid = axial_wavenumber(0, 0, FREQUENCY, RADIUS, AIR)
     soft = yielding_wavenumber(FREQUENCY, RADIUS, AIR, WALL)
     rise = rigid.real / soft.real - 1

@@ -38,7 +38,7 @@ from acoustube.waves.spectral.layers import filling, layer_thickness
 AIR = Air(sound_speed=343.2, density=1.204)
 ACROSS, ALONG, LEAD_ELEMENTS = 18, 56, 40
 WALL_GRADING, THROAT_GRADING = 6.0, 4.0
-"""Elements are narrow at the wall, and short at the narrowest section."""
+"""Gradings of the mesh: elements are narrow at the wall, and short at the narrowest section."""
 
 
 class Channel(NamedTuple):
@@ -70,7 +70,7 @@ class Channel(NamedTuple):
         return self.width - (self.width - self.least) * inside
 
     def wavenumber(self, frequency, width, air):
-        """Return that of the plane mode of a straight channel by its layers' functions, in 1/m."""
+        """Return the plane mode's wavenumber of a straight channel, in 1/m, by its layers."""
         sides = 4 if self.is_round else 2
         taken = [
             sides / width * d * filling(np.array([width]), np.array([float(self.is_round)]), d)[0]
@@ -173,7 +173,7 @@ def thermoviscous(channel, frequency, air, mesh=None):
 
 
 def by_layers(channel, frequency, air, mesh=None):
-    """Return the same with the layers as an impedance of the wall, as the package models them."""
+    """Return the same with the layers as a wall impedance, as the package models them."""
     mesh = meshed(channel) if mesh is None else mesh
     is_round, k = channel.is_round, 2 * np.pi * frequency / air.sound_speed
     basis = Basis(mesh, ElementQuad2(), intorder=5)
@@ -211,9 +211,10 @@ def by_layers(channel, frequency, air, mesh=None):
 
 
 def scattered(solve, channel, frequency, air, **options):
-    """Return R and T of the plane mode, with z = 0 as the plane of reference of both sides.
+    """Return R and T of the plane mode, with z = 0 as the reference plane of both sides.
 
-    From waves both ways that fit the pressure on the axis of the straight part, away from its ends.
+    Two waves in opposite directions are fitted to the pressure on the axis of the straight part,
+    away from its ends.
     """
     z, sides = solve(channel, frequency, air, **options)
     start, length = channel.reach, channel.lead
@@ -236,7 +237,7 @@ def spectral_scattering(channel, frequencies):
 
     ends, frequency = (-channel.reach, channel.reach), np.asarray(frequencies)
     wall = spectral.analytic_wall(lines, ends=ends, radius=channel.width / 2, reversible=True)
-    # The absorption in the bulk that the equations have as well.
+    # The absorption in the bulk, which the equations include as well.
     air = replace(AIR, classical_absorption=float(classical_absorption(1.0, AIR)))
     s = spectral.scatter_spectral(wall, air, frequency, symmetric_only=True).s
     return list(zip(s[:, 0, 0, 0, 0], s[:, 1, 0, 0, 0], strict=True))

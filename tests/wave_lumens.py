@@ -9,7 +9,7 @@ BORE = 3.95e-3  # radius in m
 
 
 def straight_tube(length, *, radius=BORE, sections=256, shift=(0.0, 0.0)):
-    """A circular cylinder from z = 0, its axis moved by a shift across."""
+    """A circular cylinder from z = 0, with its axis shifted in x and y."""
     # Made at unit size: trimesh drops the facets of a cylinder that is thin in metres.
     tube = trimesh.creation.cylinder(1.0, 1.0, sections=sections)
     tube.apply_translation([0.0, 0.0, 0.5])
@@ -37,7 +37,7 @@ def pinched_tube(length, depth=0.4, *, centre=None, width=4e-3):
 
 
 def staircase(cells):
-    """The same lumen of whole cells: those more than half open, with open faces between them."""
+    """The same lumen made of whole cells: those more than half open, with open faces in between."""
     full = np.where(cells.volume_fraction > 0.5, 1.0, 0.0)
     faces = {name: np.zeros_like(getattr(cells, name)) for name in ("open_x", "open_y", "open_z")}
     faces["open_x"][1:-1] = full[1:] * full[:-1]

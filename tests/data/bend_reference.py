@@ -1,11 +1,12 @@
-"""Write `bend.csv`: how a bend of a round bore scatters, by finite elements in three dimensions.
+"""Write `bend.csv`: scattering by a bend of a round bore, by finite elements in three dimensions.
 
 A bore of radius 3.95 mm turns by 90 degrees about a centre 10 mm away, between two endless straight
-parts; rigid, lossless, 343.2 m/s. Helmholtz's equation in Cartesian coordinates on quadratic
-hexahedra with curved faces; the ends carry the straight bore's modes, evanescent ones too. The
-model shares no equation of a bent line with `acoustube.waves.bends`.
+parts; rigid, lossless, 343.2 m/s. Helmholtz's equation is solved in Cartesian coordinates on
+quadratic hexahedra with curved faces. The ends are matched to the modes of the straight bore,
+including evanescent ones. The model shares no equation with the curvilinear formulation of
+`acoustube.waves.bends`.
 
-Needs scikit-fem, which acoustube does not: `python tests/data/bend_reference.py`.
+Needs scikit-fem, which acoustube does not need: `python tests/data/bend_reference.py`.
 """
 
 import csv
@@ -90,7 +91,7 @@ def mass(p, q, _):
 
 
 def scattered(n, n_ring, n_along):
-    """Yield, for each frequency, what a plane wave of unit power sends into each mode."""
+    """Yield, for each frequency, the mode amplitudes excited by a plane wave of unit power."""
     grid = mesh(n, n_ring, n_along)
     basis = Basis(grid, ElementHex2(), intorder=5)
     K, M = stiffness.assemble(basis), mass.assemble(basis)

@@ -1,1 +1,1 @@
-"""Fuzzer of the commands and the public functions: mutated inputs of every kind, in masses."""
+"""Fuzzer of the commands and the public functions, by mutated inputs of every kind."""

@@ -20,7 +20,7 @@ REPORTED = 2000
 
 
 def main() -> int:
-    """Run cases for a time or a number, print what was found, and return 1 if anything was."""
+    """Run cases for a time or a number, print the findings, and return 1 if there are any."""
     given = _given()
     kept = given.keep or Path(tempfile.mkdtemp(prefix="acoustube-fuzz-"))
     kept.mkdir(parents=True, exist_ok=True)
@@ -36,7 +36,7 @@ def main() -> int:
     passed, found = dict.fromkeys(chosen, 0), dict.fromkeys(chosen, 0)
     share = -(-given.count // len(chosen)) if given.count else sys.maxsize
     reported = 0
-    batch = min(BATCH, max(int(given.seconds or BATCH), 10))  # so that all have their share
+    batch = min(BATCH, max(int(given.seconds or BATCH), 10))  # so that all categories take part
     for start in count(given.first, batch):
         left = given.first + share - start
         if time.monotonic() > end or left <= 0:
@@ -78,7 +78,7 @@ def _given() -> argparse.Namespace:
 
 
 def _corpus() -> Path:
-    """Return the folder of good files, made by a process of its own where there is none."""
+    """Return the folder of valid files, made by a child process if it does not exist."""
     cache = ROOT / ".pytest_cache" / "d"
     code = hashlib.sha256((Path(__file__).parent / "corpus.py").read_bytes())
     for path in sorted((ROOT / "acoustube").rglob("*.py")):
@@ -105,7 +105,7 @@ def _print(finding: Finding, seed: int) -> None:
 
 
 def in_short(what: str) -> str:
-    """Return a complaint without most of a traceback: our own last lines, and the error."""
+    """Return a complaint with a short traceback: acoustube's last lines, and the error."""
     lines = what.splitlines()
     frames = [line for line in lines if line.lstrip().startswith("File ") and "acoustube/" in line]
     text = [line for line in lines if line.strip() and not line.startswith("  ")]

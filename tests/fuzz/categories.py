@@ -75,7 +75,7 @@ def _tree(path: Path) -> dict[str, Any]:
 
 
 def _text_of(chance: Random, tree: dict[str, Any], path: Path) -> None:
-    """Write a mutated tree, and now and then its mutated bytes, in an encoding."""
+    """Write a mutated tree, sometimes with mutated bytes, in some encoding."""
     for _ in range(chance.choice((0, 1, 1, 2))):
         tree = mutated_tree(chance, tree)
     text = as_json(tree) if path.suffix == ".json" else as_toml(tree)
@@ -218,7 +218,7 @@ def models(chance: Random, corpus: Path, folder: Path) -> Case:
 
 
 def results(chance: Random, corpus: Path, folder: Path) -> Case:
-    """Results of our own, damaged, cut, or altered by another program."""
+    """Results of acoustube, damaged, cut, or altered by another program."""
     kind = chance.choice(("sweep", "cycles", "indent", "scatter.nc"))
     where = folder / kind
     if (corpus / kind).is_dir():
@@ -242,7 +242,7 @@ def results(chance: Random, corpus: Path, folder: Path) -> Case:
 
 
 def _damage(chance: Random, path: Path, corpus: Path) -> None:
-    """Damage a file: its bytes, or what it says."""
+    """Damage a file: its bytes, or its contents."""
     if not path.exists():
         return
     kind = chance.random()
@@ -257,7 +257,7 @@ def _damage(chance: Random, path: Path, corpus: Path) -> None:
 
 
 def _alter(chance: Random, path: Path) -> None:
-    """Change variables and attributes of a netCDF file that is still whole."""
+    """Change variables and attributes of a netCDF file that stays readable."""
     import h5py
 
     with h5py.File(path, "a") as file:

@@ -1,4 +1,4 @@
-"""Good files of every kind, from which the cases are made by mutation."""
+"""Valid files of every kind, from which the cases are made by mutation."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def recording() -> dict[str, np.ndarray]:
 
 
 def build(folder: Path) -> None:
-    """Write all good files to a new folder: a minute, or seconds from a cache."""
+    """Write all valid files to a new folder, in a minute, or in seconds from a cache."""
     partial = folder.with_name(f"{folder.name}-{os.getpid()}")
     partial.mkdir(parents=True)
     here = Path.cwd()
@@ -45,7 +45,7 @@ def build(folder: Path) -> None:
         _results()
     finally:
         os.chdir(here)
-    with contextlib.suppress(OSError):  # another may have been faster
+    with contextlib.suppress(OSError):  # another process may have been faster
         partial.rename(folder)
 
 
@@ -174,7 +174,7 @@ def _models() -> None:
 
 
 def _results() -> None:
-    """Compute small results of each kind; the settings are those of the tests, and so cached."""
+    """Compute small results of each kind, with settings of the tests, which are cached."""
     import xarray as xr
 
     from acoustube.base.netcdf import write_dataset

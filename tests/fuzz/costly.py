@@ -1,4 +1,4 @@
-"""Public functions that compute for long, up to where they begin to."""
+"""Public functions that compute for long, called up to the start of the computation."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ PRESS = "acoustube.indentation.press"
 
 @cache
 def _press() -> tuple[Any, Any]:
-    """Return a tube of few elements at first contact, as if of two increments, and their numbers.
+    """Return a press of a coarse tube, with two made-up increments, and the size of its mesh.
 
-    Without JAX, whose threads would not survive the forks of the cases.
+    It needs no JAX, whose threads would not survive the forks of the cases.
     """
     from acoustube.indentation import Indentation, Indenter, MeshSize
     from acoustube.indentation.mesh import sweep

@@ -1,4 +1,4 @@
-"""Public functions with good arguments, one or two of which become odd."""
+"""Public functions with valid arguments, of which one or two are made odd."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ ALSO = {
     "path": ("cannot be read",), "s": ("matrices", "spaced"), "tools": ("library",),
     "counts": ("cycle",),
 }  # fmt: skip
-"""Words by which a sentence may name an argument, where several of them together are wrong."""
+"""Words by which a message may name an argument, where several arguments together are wrong."""
 
 
 class Spec(NamedTuple):
-    """A function, good arguments, and the names of results that may be nan."""
+    """A function, valid arguments, and the names of results that may be nan."""
 
     function: Callable[..., Any]
     good: Mapping[str, Any]
@@ -61,11 +61,11 @@ def trial(spec: Spec, changed: Mapping[str, Any]) -> str:
         if not any(_named(name, text) for name in changed):
             return f"names none of {', '.join(changed)}: {text}"
         return ""
-    except SimulationError:  # a sentence too, of valid arguments that cannot be computed
+    except SimulationError:  # valid arguments that cannot be computed, reported in a sentence
         return ""
     except MemoryError as error:
         return f"MemoryError: {error}"
-    except Exception as error:  # all others are findings
+    except Exception as error:  # all other exceptions are findings
         frame = inspect.trace()[-1]
         where = f"{Path(frame.filename).name}:{frame.lineno}"
         return f"{type(error).__name__}: {str(error)[:200]} ({where})"
@@ -90,7 +90,7 @@ def _finite(answer: Any) -> bool:
 
 
 def functions(chance: Random, corpus: Path, folder: Path) -> Case:  # noqa: ARG001
-    """Public functions with odd numbers, kinds and shapes."""
+    """Public functions with odd numbers, types and shapes."""
     name = chance.choice(sorted(specs()))
     spec = specs()[name]
     changed = {}
@@ -120,13 +120,13 @@ class Reached(Exception):  # noqa: N818
 
 
 def up_to(function: Callable[..., Any], *places: str) -> Callable[..., Any]:
-    """Return a function that ends where its computation of seconds or minutes would begin.
+    """Return a function that stops where its computation of seconds or minutes would begin.
 
     Parameters
     ----------
     function : callable
     *places : str
-        What it would call first, as ``module:name``.
+        Function that starts the computation, as ``module:name``.
     """
 
     @functools.wraps(function)

@@ -1,4 +1,4 @@
-"""Cases in forked processes, so that a crash, a hang or a full memory has a case to its name."""
+"""Cases in forked processes, so that a crash, a hang or a full memory is attributed to its case."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from typing import Any
 from acoustube.base.errors import readable
 
 HANG_S, IDLE_S = 10.0, 20.0
-"""Processor time, and time without any, after which a case hangs; what other programs take of a
-busy machine counts as neither."""
+"""Processor time, and time without any, in s, after which a case counts as hanging; time taken by
+other programs on a busy machine counts as neither."""
 MEMORY, ADDRESSES = 2 * 1024**3, 8 * 1024**3
-"""Memory in bytes that the cases of a process may use, and the address space that they may reserve,
-as compilers do, beyond what is loaded."""
+"""Memory in bytes that the cases of a process may use, and address space in bytes that they may
+reserve, as compilers do, beyond the loaded code."""
 OVERDONE = {"hang": f"hang of over {HANG_S:g} s", "memory": "memory of over 2 GB"}
 BATCH = 100
-"""Cases of a process."""
+"""Number of cases per process."""
 TRIES = 5
-"""Times that a case is made until all of its mutations are possible."""
+"""Largest number of attempts to make a case of which all mutations are possible."""
 LONGEST = 650
-"""Characters of the longest sentence."""
+"""Largest length of an error message in characters."""
 NOISE = re.compile(
     r"Traceback|Exception ignored|Warning:|\[Errno|Error:|HDF5-DIAG|dumped|^\w+:\d+:"
 )
@@ -53,11 +53,11 @@ class Case:
     call : callable, optional
         In place of words; returns a complaint, or an empty text.
     told : tuple of str
-        Words of which an error names one; those of the command if empty.
+        Words of which an error must name one; those of the command if empty.
     beside : callable, optional
         Makes a context in which the command runs.
     check : callable, optional
-        Returns what is wrong with what the command left, or nothing.
+        Returns what is wrong with the files that the command left, or nothing.
     """
 
     words: tuple[str, ...] = ()
@@ -68,12 +68,12 @@ class Case:
 
 
 Maker = Callable[[Random, Path, Path], Case]
-"""Function that makes a case by chance: of the generator, the good files, and the case's folder."""
+"""Function that makes a random case from a generator, the valid files, and the case's folder."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A case that broke the promise."""
+    """A case that failed."""
 
     category: str
     number: int
@@ -82,14 +82,14 @@ class Finding:
 
 
 def seeded(seed: int, category: str, number: int) -> Random:
-    """Return the generator of a case, which depends on nothing else."""
+    """Return the random generator of a case, which depends on these arguments only."""
     return Random(f"{seed} {category} {number}")
 
 
 def run(
     maker: Maker, category: str, numbers: list[int], seed: int, corpus: Path, kept: Path
 ) -> Iterator[Finding | int]:
-    """Run cases in processes of their own; yield each number that passed, or what was found."""
+    """Run cases in child processes; yield the number of each that passed, or a finding."""
     left = list(numbers)
     while left:
         batch, left = left[:BATCH], left[BATCH:]
@@ -131,7 +131,7 @@ def _forked(
     reading, writing = os.pipe()
     sys.stdout.flush()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of threads: there are none that matter before the fork
+        warnings.simplefilter("ignore")  # on threads: none that matter exist before the fork
         child = os.fork()
     if child == 0:
         os.close(reading)
@@ -148,7 +148,7 @@ def _forked(
         os.killpg(child, signal.SIGKILL)
     _, status = os.waitpid(child, 0)
     with contextlib.suppress(ProcessLookupError):
-        os.killpg(child, signal.SIGKILL)  # what it may have left running
+        os.killpg(child, signal.SIGKILL)  # processes that it may have left running
     if ended:
         how = f"signal {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else f"status {status}"
         crash = scratch / str(number) / "stderr.txt"
@@ -170,7 +170,7 @@ def _line(results: Any, child: int) -> tuple[bytes, str]:
 
 
 class Session:
-    """What a session of processes takes of the machine.
+    """Use of processor and memory by a session of processes.
 
     Parameters
     ----------
@@ -180,12 +180,12 @@ class Session:
     Attributes
     ----------
     before, used : float
-        Processor time in s up to the start and since, of the processes that there are, and of
-        children of theirs that have ended.
+        Processor time in s up to the start and since then, of the present processes and of their
+        children that have ended.
     idle : float
-        Time in s between looks at which no thread of the session was running or ready to run.
+        Time in s between samples at which no thread of the session was running or ready to run.
     memory : int
-        Bytes of memory at the last look.
+        Bytes of memory at the last sample.
     """
 
     def __init__(self, leader: int) -> None:
@@ -194,7 +194,7 @@ class Session:
         self.used = self.idle = 0.0
 
     def look(self) -> None:
-        """Bring the numbers up to now."""
+        """Update the numbers."""
         now = time.monotonic()
         total, self.memory, busy = _session(self._leader)
         self.used, self._seen, passed = total - self.before, now, now - self._seen
@@ -219,7 +219,7 @@ def _session(leader: int) -> tuple[float, int, bool]:
 
 
 def _status(process: Path) -> list[str]:
-    """Return what the system tells of a process or thread, from its state on."""
+    """Return the status of a process or thread as the system reports it, from its state on."""
     return (process / "stat").read_text().rpartition(")")[2].split()
 
 
@@ -258,7 +258,7 @@ def _child(
 
 
 def one(maker: Maker, chance: Random, corpus: Path, folder: Path) -> str:
-    """Make a case and run it; return what is wrong, or nothing."""
+    """Make a case and run it; return what is wrong, or an empty text."""
     case = _made(maker, chance, corpus, folder)
     if case.call is not None:
         return case.call()
@@ -274,7 +274,7 @@ def one(maker: Maker, chance: Random, corpus: Path, folder: Path) -> str:
 
 
 def _made(maker: Maker, chance: Random, corpus: Path, folder: Path) -> Case:
-    """Make a case; where a mutation makes the next one impossible, another."""
+    """Make a case, and another one where a mutation makes the next one impossible."""
     for _ in range(TRIES):
         try:
             with warnings.catch_warnings():
@@ -292,7 +292,7 @@ def _made(maker: Maker, chance: Random, corpus: Path, folder: Path) -> Case:
 
 
 def _captured(words: tuple[str, ...], folder: Path) -> tuple[tuple[str, str], Any]:
-    """Run a command in this process; return what it wrote, of libraries too, and its exit code."""
+    """Run a command in this process; return its output, also of libraries, and its code."""
     from acoustube.cli import main
 
     paths = folder / "stdout.txt", folder / "stderr.txt"
@@ -342,7 +342,7 @@ def _content(folder: Path) -> dict[str, tuple[int, int]]:
 
 
 def judged(case: Case, code: Any, out: str, err: str, before: Any, after: Any) -> str:
-    """Return what is wrong with the end of a command, or nothing."""
+    """Return what is wrong with the exit and the output of a command, or nothing."""
     told = f"\n{err[-1500:]}"
     if code not in (0, 1, 2):
         return f"exit code {code}{told}"
@@ -371,7 +371,7 @@ def judged(case: Case, code: Any, out: str, err: str, before: Any, after: Any) -
 def _names_something(case: Case, err: str) -> bool:
     """Return whether an error names a word of the command, or an argument with its value."""
     words = case.told or case.words
-    # As it is written, or as a path is told: "" and "./" as the folder ".".
+    # As written, or as a path is printed: "" and "./" as the folder ".".
     forms = ((word, Path(word).name, f"{Path(word)} ") for word in words)
     given = [readable(part) for form in forms for part in form if part]
     shown = " ".join(err.split())

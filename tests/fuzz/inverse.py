@@ -23,7 +23,7 @@ def made_tool() -> dict[str, Any]:
 
 
 def of_inversions() -> dict[str, Spec]:
-    """Return the functions of the inversion: forward model, posterior, contacts followed."""
+    """Return the functions of the inversion: forward model, posterior, tracking of contacts."""
     from acoustube import inversion as i
     from acoustube.ranging import Rangefinder
 

@@ -1,7 +1,7 @@
 """Commands that are ended at random moments: ``python -m tests.fuzz.kills --count 1000``.
 
-Each ends in time with the right code and a sentence, leaves no output or a whole one, and the
-repeated command gives what an undisturbed one does.
+Each must end in time with the right exit code and a sentence, and leave a complete output or none;
+the repeated command must give the results of an undisturbed one.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from tests.fuzz.streams import rows_of, waited
 ENDS = {"KILL": (signal.SIGKILL,), "INT": (signal.SIGINT,), "TERM": (signal.SIGTERM,),
         "INT twice": (signal.SIGINT, signal.SIGINT)}  # fmt: skip
 IN_TIME, PATIENCE = 5.0, 120.0
-"""Processor time in s, or time of waiting, to end in after a signal, and of a whole command."""
+"""Limits in s of processor time or waiting: for ending after a signal, and for a whole command."""
 BEFORE_PYTHON = 0.2
-"""Processor time in s in which Python starts, before the command can say a word."""
+"""Processor time in s in which Python starts, before the command can print anything."""
 REPORTED = 50
 """Trials between two lines of progress."""
 NOISE = ("Traceback", "Exception ignored", "Error:", "free()", "Warning")
@@ -75,11 +75,11 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "cache": ("cache", "list"),
     "help": ("simulate", "--help"),
 }  # fmt: skip
-"""Commands by name; the paths of good files begin with CORPUS, those made here with MADE."""
+"""Commands by name; the paths of valid files begin with CORPUS, those made here with MADE."""
 CACHED = ("simulate", "indent", "sweep", "wall", "scatter")
 """Commands that are faster the second time."""
 RESUMED = ("sweep", "dataset", "reproduce")
-"""Commands whose folder grows, and is completed by the same command."""
+"""Commands whose folder grows, and is completed by repeating the command."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Ending:
     before, used : float
         Processor time in s before the first signal, and since.
     idle : float
-        Time in s since then in which it wanted no processor.
+        Time in s since then in which it was not ready to run.
     errors : str
         Standard error.
     """
@@ -105,14 +105,14 @@ class Ending:
 
 
 class Bench:
-    """Place for commands to run in: good files, a cache that knows the presses, and results.
+    """Folder for running commands: valid files, a cache that holds the presses, and results.
 
     Parameters
     ----------
     place : Path
         Empty folder.
     corpus : Path, optional
-        Good files; made, or taken from an earlier run, if not given.
+        Valid files; made, or taken from an earlier run, if not given.
     """
 
     def __init__(self, place: Path, corpus: Path | None = None) -> None:
@@ -158,7 +158,7 @@ class Bench:
 
     @contextlib.contextmanager
     def beside(self, name: str, folder: Path) -> Iterator[None]:
-        """Have a board send frames while a command reads a line, and nothing beside others."""
+        """Send frames of a board for commands that read a serial line; else do nothing."""
         if name != "live":
             yield
             return
@@ -168,7 +168,7 @@ class Bench:
             yield
 
     def expected(self, name: str) -> tuple[float, dict[str, Any]]:
-        """Return how long a command takes undisturbed, when all is cached, and its outputs."""
+        """Return the duration of an undisturbed command with a filled cache, and its outputs."""
         if name not in self.known:
             for _ in range(2 if name in CACHED else 1):
                 with self.folder() as folder:
@@ -186,7 +186,7 @@ class Bench:
             yield Path(folder)
 
     def trial(self, name: str, how: str, delay: float, *, again: bool) -> list[str]:
-        """End a command after a delay; return what is wrong, and nothing if all is well."""
+        """End a command after a delay; return what is wrong, or an empty list."""
         _, whole = self.expected(name)
         with self.folder() as folder:
             ending = self.run(name, folder, ENDS[how], delay)
@@ -206,14 +206,14 @@ class Bench:
 
 
 def _send(board: Board, log: Path) -> None:
-    """Send frames once a command listens."""
+    """Send frames once a command has opened the line."""
     if waited(board, log.exists):
         for frame in FRAMES:
             board.send(frame)
 
 
 def _watched(process: subprocess.Popen[str], session: Session) -> str:
-    """Wait for the end of a process; return what it wrote to standard error."""
+    """Wait for the end of a process; return its standard error."""
     while True:
         try:
             return process.communicate(timeout=0.1)[1]
@@ -226,12 +226,12 @@ def _watched(process: subprocess.Popen[str], session: Session) -> str:
 
 
 def _not_ignored() -> None:
-    """Let interrupts come through, which are ignored in the background of a shell."""
+    """Accept interrupts, which are ignored in the background of a shell."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def _make(folder: Path) -> None:
-    """Write the recordings that the good files lack."""
+    """Write the recordings that the valid files lack."""
     sys.path.insert(0, str(ROOT / "tests"))  # as pytest does
     from labelled_cycles import cycles
     from test_calibration import PLACES, blocked, untouched
@@ -259,7 +259,7 @@ def _about_end(ending: Ending, how: str) -> list[str]:
     ):
         return []
     wrong = [f"it says {' and '.join(noise)}:\n{ending.errors}"] if noise else []
-    if ending.code == 0:  # it had ended before
+    if ending.code == 0:  # it had ended before the signal
         return wrong if ending.used + ending.idle < 1 else [*wrong, "it went on, and ended with 0"]
     if ending.code != 128 + ENDS[how][0]:
         wrong.append(f"it ended with {ending.code}:\n{ending.errors}")
@@ -281,7 +281,7 @@ def _about_files(folder: Path, whole: dict[str, Any], name: str, ending: Ending)
     if name in RESUMED:
         parts = {path: content for path, content in found.items() if path in whole}
         return [] if _alike(parts, {p: whole[p] for p in parts}) else ["a part is not whole"]
-    # Two files are written one after the other: one may be there alone, but it is whole.
+    # Two files are written one after the other: one may exist without the other, but complete.
     there = {path: content for path, content in whole.items() if path in found}
     if not _alike(found, there):
         return [f"half an output: {', '.join(found)}"]
@@ -305,7 +305,7 @@ def outputs(folder: Path) -> dict[str, Any]:
 
 
 def _content(path: Path) -> Any:
-    """Return what two runs of a command have in common in a file."""
+    """Return the part of a file's contents that does not differ from run to run."""
     if path.suffix == ".nc":
         import xarray as xr
 
@@ -321,7 +321,7 @@ def _content(path: Path) -> Any:
     if path.name == "o.csv" and b"received_s" in path.read_bytes()[:500]:
         return rows_of(path)
     content = path.read_bytes()
-    # Times are in the page, and in the report.
+    # Page and report contain times.
     return len(content) > 1000 if path.suffix == ".html" else content
 
 
@@ -330,7 +330,7 @@ def _alike(found: dict[str, Any], expected: dict[str, Any]) -> bool:
 
 
 def main() -> int:
-    """Run trials, print what was found, and return 1 if anything was."""
+    """Run trials, print the findings, and return 1 if there are any."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz.kills", description=__doc__)
     parser.add_argument("--seed", type=int, default=secrets.randbits(32), help="drawn if not given")
     parser.add_argument("--count", type=int, default=20)
@@ -366,7 +366,7 @@ def main() -> int:
 def _drawn(bench: Bench, chance: Random, given: argparse.Namespace) -> tuple[str, str, float, bool]:
     """Draw a command, a way to end it, a moment, and whether it is repeated."""
     names = given.command or list(COMMANDS)
-    # The rarer, the longer it takes, so that each second of a command counts about the same.
+    # In inverse proportion to its duration, so that all seconds of commands are about as likely.
     name = chance.choices(names, [1 / (1 + bench.expected(name)[0]) for name in names])[0]
     how = chance.choice(list(ENDS))
     share, again = chance.random(), chance.random() < given.again

@@ -1,4 +1,4 @@
-"""Odd values, and mutations of bytes, texts, trees and arrays. All chance comes from `random`."""
+"""Odd values, and mutations of bytes, texts, trees and arrays, all random by `random`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BREAKING = (
 
 
 def odd_number(chance: Random) -> Any:
-    """Return an odd number, or one that is near some power of ten."""
+    """Return an odd number, or one near a power of ten."""
     if chance.random() < 0.3:
         return chance.choice((-1, 1)) * chance.uniform(1, 10) * 10.0 ** chance.randint(-12, 12)
     return chance.choice(NUMBERS)
@@ -39,7 +39,7 @@ def odd_text(chance: Random) -> str:
 
 
 def odd_value(chance: Random) -> Any:
-    """Return a number, a text, a list or a mapping that hardly anyone expects."""
+    """Return an unexpected number, text, list or mapping."""
     kind = chance.random()
     if kind < 0.5:
         return odd_number(chance)
@@ -60,7 +60,7 @@ def mutated_bytes(chance: Random, content: bytes, other: bytes = b"") -> bytes:
     data = bytearray(content)
     for _ in range(chance.choice((1, 1, 1, 2, 4, 16))):
         at = chance.randrange(len(data) + 1)
-        if chance.random() < 0.4:  # most formats begin with what matters
+        if chance.random() < 0.4:  # most formats begin with their header
             at = min(at, chance.randrange(600))
         kind = chance.randrange(9)
         if kind == 0 and data:
@@ -109,7 +109,7 @@ def mutated_tree(chance: Random, tree: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def as_toml(value: Any, *, inline: bool = False) -> str:
-    """Return a tree as TOML, or nearly so: what no TOML can hold is written all the same."""
+    """Return a tree as TOML, or nearly so: values without a TOML form are written too."""
     if isinstance(value, Mapping) and not inline:
         plain = {k: v for k, v in value.items() if not isinstance(v, Mapping)}
         lines = [f"{_key(k)} = {as_toml(v, inline=True)}" for k, v in plain.items()]
@@ -141,7 +141,7 @@ def _digits(value: float) -> str:
     """Return the digits of a number of any size."""
     try:
         return repr(value)
-    except ValueError:  # more digits than Python prints
+    except ValueError:  # more digits than Python can print
         return "1" + "0" * 5000
 
 
@@ -212,7 +212,7 @@ def mutated_arrays(chance: Random, arrays: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _safely(make: Callable[[], Any]) -> Any:
-    """Return what a function makes, or zeros where NumPy itself cannot."""
+    """Return the result of a function, or zeros where NumPy raises an error."""
     try:
         return make()
     except (ValueError, TypeError, OverflowError):

@@ -10,7 +10,7 @@ POSITIONAL = {
     "twin": ("good.npz", "good.npz"), "design": ("goal.toml",),
     "show": (".",), "export": (".",), "dataset": (".",), "cite": (".",), "reproduce": ("all",),
 }  # fmt: skip
-"""Words that come before the options, good ones."""
+"""Valid words that come before the options."""
 
 
 def _options(command: str) -> list[str]:

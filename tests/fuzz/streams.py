@@ -1,4 +1,4 @@
-"""Serial streams: what a board, a bad cable or another device may send to ``acoustube live``."""
+"""Serial streams that a board, a bad cable or another device may send to ``acoustube live``."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tests.fuzz.harness import Case
 from tests.fuzz.oddities import mutated_bytes, odd_number
 
 LONGEST_DURATION = 0.3
-"""Seconds after which a line that never ends is left."""
+"""Time in s after which reading of an endless line stops."""
 LOG = "o.csv"
 OTHER_FRAMES = (12, 13, 100, 254, 255, 4000, 1_000_000)
 OTHER_RATES = (300, 9600, 115_200, 921_600, 2_000_000)
@@ -95,7 +95,7 @@ def _frame(chance: Random, frame_bytes: int) -> bytes:
 
 
 def at_another_rate(data: bytes, ratio: float) -> bytes:
-    """Return what a port reads that samples a line at another rate than its sender's.
+    """Return the bytes that a port reads whose rate differs from the sender's.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def at_another_rate(data: bytes, ratio: float) -> bytes:
 
 
 class ScriptedPort:
-    """A port that gives pieces of a stream, and then fails, is silent, or begins again.
+    """A port that returns pieces of a stream, and then fails, is silent, or starts again.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class ScriptedPort:
 
     @property
     def in_waiting(self) -> int:
-        """Number of bytes; some drivers report none."""
+        """Number of bytes; some drivers always report 0."""
         return 4096 if self._reports else 0
 
     def read(self, size: int = 1) -> bytes:  # noqa: ARG002
@@ -163,7 +163,7 @@ class ScriptedPort:
 
 @contextlib.contextmanager
 def _as_port(port: ScriptedPort) -> Iterator[None]:
-    """Let the serial library open a port of ours."""
+    """Make the serial library open the given port."""
     import serial
 
     before = serial.Serial
@@ -175,7 +175,7 @@ def _as_port(port: ScriptedPort) -> Iterator[None]:
 
 
 def _on_terminal(board: Board, data: bytes, log: Path) -> AbstractContextManager[object]:
-    """Send data over a pseudo-terminal once the log exists, and cut it when all is read."""
+    """Send data over a pseudo-terminal once the log exists, and close it when all is read."""
 
     def send(board: Board) -> None:
         if waited(board, log.exists):
@@ -200,7 +200,7 @@ def waited(board: Board, condition: Callable[[], bool]) -> bool:
 
 
 def rows_of(log: Path) -> list[list[str]]:
-    """Return the rows of a log, its head included, without what differs from run to run."""
+    """Return the rows of a log, with its head, without the columns that differ from run to run."""
     with log.open(newline="", encoding="utf-8", errors="replace") as file:
         rows = list(csv.reader(file))
     names = rows[0] if rows else []
@@ -209,7 +209,7 @@ def rows_of(log: Path) -> list[list[str]]:
 
 
 def _wrong_log(folder: Path) -> str:
-    """Return what is wrong with a log: each row is whole."""
+    """Return what is wrong with a log, in which each row must be complete."""
     log = folder / LOG
     if not log.exists():
         return ""

@@ -1,4 +1,4 @@
-"""Computations that take minutes, replaced by a sentence: what is fuzzed is what leads to them."""
+"""Computations of minutes, replaced by an error: only the code that leads to them is fuzzed."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ def _not_drawn(*_arguments: Any, **_settings: Any) -> bool:
 
 
 def install() -> None:
-    """Load what the commands need, once for all cases, and replace what takes long."""
+    """Load the modules that the commands need, once for all, and replace long computations."""
     for name in PRELOADED:
         try:
             import_module(name)
         except ImportError:
-            continue  # of an optional package, or moved: the case itself loads it, or says so
+            continue  # of an optional package, or moved: the case loads it itself or reports it
     for place, stub in (*((p, _not_computed) for p in HEAVY), *((p, _not_drawn) for p in DRAWING)):
         module, _, name = place.partition(":")
         loaded = import_module(module)
-        getattr(loaded, name)  # raises where it has moved, rather than leave it to run for minutes
+        getattr(loaded, name)  # raises where it has moved: else it would run for minutes
         setattr(loaded, name, stub)
     specs()  # whose arguments take a second to make
     gc.freeze()  # or each process would copy all of it to count references

@@ -1,4 +1,4 @@
-"""Recordings of all kinds, written from named arrays that may not fit the kind."""
+"""Recordings of all file formats, written from named arrays that may not suit the format."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from tests.fuzz.oddities import odd_text
 
 
 def written(chance: Random, arrays: dict[str, Any], folder: Path) -> str:
-    """Write named arrays to a file of some kind; where it cannot hold them, to an NPZ."""
+    """Write named arrays to a file of some format, or to an NPZ where it cannot hold them."""
     ending = chance.choice((".npz", ".npz", ".mat", ".h5", ".nc", ".csv", ".wav", ".npy"))
     name = f"a{ending}"
     path = folder / name
     try:
         _WRITERS[ending](chance, arrays, path)
-    except Exception:  # a kind that cannot hold such an array
+    except Exception:  # a format that cannot hold such an array
         path.unlink(missing_ok=True)
         name, path = "a.npz", folder / "a.npz"
         npz(chance, arrays, path)
