@@ -24,7 +24,7 @@ def forces(count, seed=0, noise=0.2):
 
 
 def test_initial_weights_have_hes_variance_and_shapes():
-    """The variance is 2 / fan_in to 2 % with 50 x 4096 numbers, known to 0.3 %; to 5 % with fewer."""
+    """The variance is 2 / fan_in: to 2 % of 50 x 4096 numbers (known to 0.3 %), to 5 % of fewer."""
     keys = jax.random.split(jax.random.key(1), 50)
     layers = jax.vmap(lambda key: network.initial(key, (2, 64, 64, 1)))(keys)
     assert [w.shape[1:] for w, _ in layers] == [(2, 64), (64, 64), (64, 1)]
