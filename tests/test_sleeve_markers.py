@@ -192,5 +192,5 @@ def test_c3d_without_its_reader_says_what_to_install(tmp_path, monkeypatch):
     without(monkeypatch, "ezc3d", tmp_path)
     path = tmp_path / "m.c3d"
     path.write_bytes(b"")
-    with pytest.raises(ConfigError, match=r"pip install acoustube\[c3d\]"):
+    with pytest.raises(ConfigError, match=r"pip install 'acoustube\[c3d\]'"):
         read_markers(path)

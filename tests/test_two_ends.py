@@ -200,11 +200,14 @@ def folder(tmp_path_factory):
     (plan,) = tool_plans({"depth_mm": ["1:3:0.5"]}, 0.01)
     (where / "lib").mkdir()
     files.write_tool(where / "lib" / plan.name, tool(), plan)
-    (where / "sensor.toml").write_text("length_cm = 160\ntemperature_bias = 0.0")
+    (where / "sensor.toml").write_text("length_cm = 160")
     presses = [press(6.8e-3, 0.45), press(2.5e-3, 0.95)]
     for end, name in enumerate(("near", "far")):
         write(recorded(presses, end), where / f"{name}.nc")
         write(recorded([], end, 100), where / f"{name}_free.nc")
+        silent = recorded([], end, 2)
+        del silent.attrs["tube_length"]
+        write(silent, where / f"{name}_silent.nc")
     return where
 
 
@@ -249,7 +252,7 @@ def test_far_recording_that_cannot_be_read_loses_its_pair_alone(folder, tmp_path
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (["near.nc", "--far", "far.nc"], "does not state the tube's length"),
+        (["near_silent.nc", "--far", "far_silent.nc"], "does not state the tube's length"),
         (["near.nc", "--far-untouched", "far_free.nc"], "--far-untouched goes with --far"),
         (["near.nc", "--far", "far_free.nc"], "recordings of the same cycles from both ends"),
         (

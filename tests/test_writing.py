@@ -423,7 +423,8 @@ def test_second_of_two_commands_with_one_output_keeps_the_first(monkeypatch):
 
 def test_full_disk_leaves_no_empty_picture_that_blocks_the_repeated_command(monkeypatch):
     put = writing._to_disk
-    monkeypatch.setattr(show, "_figure", lambda *_given: (b"\x89PNG" + bytes(1000), 8))
+    drawn = b"\x89PNG" + bytes(1000), "8 cases"
+    monkeypatch.setattr(show, "_sweep_figure", lambda *_given: drawn)
 
     def full(path, content):
         put(path, content[:10])
