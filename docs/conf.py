@@ -88,7 +88,7 @@ html_title = f"acoustube {release}"
 # The storeys from the stages up, in the order of the data; what is not named here comes last.
 ORDER = (
     "tube", "air", "indentation", "lumen", "waves", "ranging", "recordings", "signals",
-    "estimation", "sleeve", "runs", "sensor", "reports", "cli", "base",
+    "estimation", "inversion", "sleeve", "runs", "sensor", "reports", "cli", "base",
 )  # fmt: skip
 
 
