@@ -467,8 +467,11 @@ def test_command_writes_the_page(sweep, capsys):
 
 
 def test_show_draws_a_run_again(press, heard, tmp_path, capsys):
-    for run, picture in ((press, "press.png"), (heard, "heard.png")):
-        assert main(["show", str(run), "--out", picture]) == 0
+    for run, named, picture in (
+        (press, press, "press.png"), (heard, heard, "heard.png"),
+        (press, press / "run.nc", "file.png"),
+    ):  # fmt: skip
+        assert main(["show", str(named), "--out", picture]) == 0
         assert f"Run drawn in {picture}." in capsys.readouterr().out
         drawn, first = imread(tmp_path / picture), imread(run / "figure.png")
         np.testing.assert_array_equal(drawn, first)

@@ -151,7 +151,7 @@ def invert(
             wanted.keep()
             writer.writerows([*header, *table])
             header.clear()
-            inversion.note_doubts(path, misfits, count, near.length(data), report)
+            inversion.note_warnings(path, misfits, count, near.length(data), report)
             n_groups, n_contacts = n_groups + count, n_contacts + len(table)
         if failures and not n_groups:
             raise ConfigError("no file could be inverted, and nothing was written; see above")

@@ -54,8 +54,11 @@ def show(
         contents[html] = assembled(read(results), plotly_js())
         said.append(f"Written to {html}, {len(contents[html]) / 1e6:.1f} MB.")
     if out is not None:
-        single = (results / "run.nc").is_file()
-        contents[out], drawn = (_run_figure if single else _sweep_figure)(results, out)
+        from acoustube.reports.page.runs import RUN, folder_of
+
+        folder = folder_of(results)
+        single = (folder / RUN).is_file()
+        contents[out], drawn = (_run_figure if single else _sweep_figure)(folder, out)
         said.append(f"{drawn} drawn in {out}.")
     write_all(contents)
     for line in said:

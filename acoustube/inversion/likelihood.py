@@ -52,7 +52,7 @@ class Weights:
 
     def in_single_precision(self, samples: Complex) -> Complex:
         """Return samples whitened in single precision, which is enough for derivatives."""
-        given = samples[..., : len(self.matrix)].astype(np.complex64)
+        given = samples[..., : len(self.matrix)].astype(np.complex64, copy=False)
         return np.asarray(given @ self._single.T)
 
     @cached_property

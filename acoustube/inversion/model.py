@@ -188,13 +188,13 @@ class ForwardModel:
             factor, by_resonance, by_quality = base.press_gain(nuisances[:, 3:5])
             turn = np.exp(gain + 1j * phase)[:, None]
             factor = factor * turn
-            echo_spectrum: Complex = factor * found.value
-            spectrum[:, 0] = echo_spectrum
+            value: Complex = factor * found.value
+            spectrum[:, 0] = value
             spectrum[:, 1 : 2 * m + 1 : 2] = factor[:, None] * found.by_place
             spectrum[:, 2 : 2 * m + 1 : 2] = factor[:, None] * found.by_depth
             rest = spectrum[:, 2 * m + 1 :]
             warm = found.by_temperature + self.stretch_by_temperature * found.by_stretch
-            rest[:, 0], rest[:, 1], rest[:, 2] = factor * warm, echo_spectrum, 1j * echo_spectrum
+            rest[:, 0], rest[:, 1], rest[:, 2] = factor * warm, value, 1j * value
             rest[:, 3] = turn * by_resonance * found.value
             rest[:, 4] = turn * by_quality * found.value
             rest[:, 5] = factor * found.by_stretch
@@ -202,8 +202,8 @@ class ForwardModel:
         elif self.clutter.behind is not None:
             value, _, warm = self.clutter.beyond(np.zeros(n), temperature)
             spectrum[:, 0], spectrum[:, 1] = base.gain * value, base.gain * warm
-        value = base.transformed(spectrum[:, 0]) + self.clutter.ring
-        return value, base.transformed(spectrum[:, 1:].astype(np.complex64))
+        slopes = spectrum[:, 1:].astype(np.complex64)
+        return base.transformed(spectrum[:, 0]) + self.clutter.ring, base.transformed(slopes)
 
     def by_losses(
         self, tools: tuple[int, ...], places: Array, depths: Array, nuisances: Array

@@ -171,7 +171,7 @@ def find(paths: str | Path | Iterable[str | Path]) -> list[Path]:
 
 @checked(dataset=xr.Dataset, path=PATH)
 def write(dataset: xr.Dataset, path: str | Path) -> None:
-    """Write a recording as netCDF; :func:`read` returns it unchanged.
+    """Write a recording as netCDF; :func:`read` returns it, with the version that wrote it.
 
     Parameters
     ----------

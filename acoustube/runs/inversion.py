@@ -303,7 +303,7 @@ def contact_cells(contact: Contact, misfit: float, library: Library) -> list[str
     return [f"{contact.probability:.4f}", *values, f"{diameter:g}", f"{misfit:.4g}"]
 
 
-def note_doubts(
+def note_warnings(
     path: Path, misfits: Sequence[float], n_groups: int, length: float | None, report: Reporter
 ) -> None:
     """Report groups with a large misfit, and a tube length that is assumed."""

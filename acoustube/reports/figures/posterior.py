@@ -48,8 +48,8 @@ def _draw_echo(axes: Axes, found: Inversion) -> None:
     axes.set_xlim(0.0, CM * found.model.base.length)
     axes.set_xlabel("distance from which an echo begins at that time (cm)")
     axes.set_ylabel("echo without clutter (counts)")
-    told = f"{counted(len(found.contacts), 'contact')}, misfit {found.misfit:.3g}"
-    axes.set_title(told if found.contacts else "no contact", fontsize=10)
+    words = f"{counted(len(found.contacts), 'contact')}, misfit {found.misfit:.3g}"
+    axes.set_title(words if found.contacts else "no contact", fontsize=10)
     axes.legend(fontsize=8)
 
 

@@ -38,6 +38,11 @@ PLACES = 201
 """Number of positions along the tube at which the lumen of an increment is measured."""
 
 
+def folder_of(where: str | Path) -> Path:
+    """Return the folder of results that is named by itself or by its file `RUN`."""
+    return Path(where).parent if Path(where).name == RUN else Path(where)
+
+
 @contextmanager
 def reading_run(folder: Path) -> Iterator[xr.Dataset]:
     """Open the run of a folder as a context.
@@ -59,18 +64,7 @@ def reading_run(folder: Path) -> Iterator[xr.Dataset]:
 
 
 def read_run(folder: Path) -> Content:
-    """Read the run of a folder.
-
-    Parameters
-    ----------
-    folder : Path
-        A folder that contains `RUN`.
-
-    Raises
-    ------
-    ConfigError
-        If the file is damaged or of another kind.
-    """
+    """Return the content of the page of a run; folder and errors are those of `reading_run`."""
     with reading_run(folder) as data:
         simulated = "source_end" in data.dims
         settings = settings_in(data.attrs["configuration"], folder / RUN)

@@ -13,7 +13,7 @@ from acoustube.base.version import __version__
 from acoustube.reports.page.cases import read_sweep
 from acoustube.reports.page.content import Content
 from acoustube.reports.page.encoded import encoded
-from acoustube.reports.page.runs import RUN, read_run
+from acoustube.reports.page.runs import RUN, folder_of, read_run
 from acoustube.runs.sweep.store import PLAN
 
 PARTS = {"style": "page.css", "charts": "charts.js", "script": "page.js"}
@@ -35,7 +35,7 @@ def read(where: str | Path) -> Content:
         If it is of another kind, or contains no result yet.
     """
     PATH.check("where", where)
-    folder = Path(where).parent if Path(where).name == RUN else Path(where)
+    folder = folder_of(where)
     if not folder.exists():
         raise ConfigError(
             f"{where} does not exist; name a folder that acoustube simulate, indent or sweep wrote"
