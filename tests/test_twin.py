@@ -422,6 +422,8 @@ def test_twin_is_a_calibration(made):
     assert bias == pytest.approx(-found["temperature_offset_c"], rel=1e-6)
     (folder / "plain.toml").write_text("temperature_bias = 0.7\nlength_cm = 200\n")
     assert thermometer(folder / "plain.toml") == 0.7
+    (folder / "silent.toml").write_text("length_cm = 200\n")
+    assert thermometer(folder / "silent.toml") == 0.0
     assert not is_twin(folder / "plain.toml")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -54,6 +55,9 @@ class Sensor:
     ----------
     rangefinder : Rangefinder or None
         None for the sleeve paper's, with the recordings' sampling rate.
+    known_thermometer : bool
+        Whether the ``temperature_bias`` of `rangefinder` is that of the sensor. False where a file
+        does not state it.
     length : float or None
         Length of the tube in m, used where a recording does not state it.
     priors : Priors
@@ -64,6 +68,7 @@ class Sensor:
     """
 
     rangefinder: Rangefinder | None = None
+    known_thermometer: bool = True
     length: float | None = None
     priors: Priors = field(default_factory=Priors)
     young_modulus: tuple[float, float] | None = None
@@ -76,6 +81,20 @@ class Sensor:
             if self.young_modulus is None
             else library.with_young_modulus(*self.young_modulus)
         )
+
+    def temperature_bias(self, recorded: xr.Dataset | None = None) -> float:
+        """Return the mean error of the thermometer in K.
+
+        It is that of the sensor if known. Otherwise it is that which a recording of
+        :func:`acoustube.ranging.record` states, and 0 for other recordings and for datasets, whose
+        sessions have errors drawn about 0.
+        """
+        if self.rangefinder is not None and self.known_thermometer:
+            return self.rangefinder.temperature_bias
+        if recorded is None or "session" in recorded:
+            return 0.0
+        own = json.loads(recorded.attrs.get("rangefinder", "{}"))
+        return float(own.get("temperature_bias", 0.0))
 
 
 def read_sensor(path: Path) -> Sensor:
@@ -110,7 +129,8 @@ def read_sensor(path: Path) -> Sensor:
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
     return Sensor(
-        rangefinder=rangefinder_in(document, path), length=metres, priors=found,
+        rangefinder=rangefinder_in(document, path),
+        known_thermometer="temperature_bias" in document, length=metres, priors=found,
         young_modulus=modulus, wrap=wrap,
     )  # fmt: skip
 
@@ -182,7 +202,7 @@ class RecordingInverter:
         for number, start in enumerate(range(0, signal.sizes["cycle"], size)):
             check()
             part = slice(start, start + size)
-            air = float(np.mean(temperature[part])) - self._bias(data, rangefinder)
+            air = float(np.mean(temperature[part])) - self.sensor.temperature_bias(data)
             inverter = self._inverter(path, data, rangefinder, air)
             yield number, inverter(signal.values[part])
 
@@ -217,7 +237,7 @@ class RecordingInverter:
         clutter = None
         if self.untouched:
             if key not in self._reflectors:
-                cycles, free = self._untouched(path, data, rangefinder)
+                cycles, free = self._untouched(path, data)
                 own = self._baseband(rangefinder, length, free, data.sizes["time"])
                 self._reflectors[key] = reflectors(own, cycles)
             clutter = self._reflectors[key].clutter(base)
@@ -239,11 +259,6 @@ class RecordingInverter:
             self.sensor.wrap,
         )
 
-    def _bias(self, data: xr.Dataset, rangefinder: Rangefinder) -> float:
-        """Return the mean error in K of a recording's temperatures, 0 where it is not known."""
-        known = self.sensor.rangefinder is not None or data.attrs.get("source") == "simulation"
-        return rangefinder.temperature_bias if known else 0.0
-
     def length(self, data: xr.Dataset) -> float | None:
         """Return the length of a recording's tube in m, None if it is not stated.
 
@@ -253,9 +268,7 @@ class RecordingInverter:
         own = stated_length(data)
         return self.sensor.length if own is None else own
 
-    def _untouched(
-        self, path: Path, data: xr.Dataset, rangefinder: Rangefinder
-    ) -> tuple[Any, float]:
+    def _untouched(self, path: Path, data: xr.Dataset) -> tuple[Any, float]:
         """Return the untouched cycles and their mean temperature in degC."""
         cycles, temperatures = [], []
         for source, one in self.untouched:
@@ -265,7 +278,7 @@ class RecordingInverter:
                     f"{data.sizes['time']}; record both alike"
                 )
             cycles.append(one["signal"].values)
-            temperatures.append(one["temperature"].values - self._bias(one, rangefinder))
+            temperatures.append(one["temperature"].values - self.sensor.temperature_bias(one))
         return np.concatenate(cycles), float(np.mean(np.concatenate(temperatures)))
 
 

@@ -105,7 +105,7 @@ class Follower:
                 f"a board sends samples of {BITS} bits and the sensor has {rangefinder.bits}; "
                 f"state bits = {BITS} and their full_scale in the file of the sensor"
             )
-        air = temperature - (rangefinder.temperature_bias if sensor.rangefinder else 0.0)
+        air = temperature - sensor.temperature_bias()
         self.sensor = replace(sensor, rangefinder=rangefinder)
         self.base = baseband_of(
             rangefinder, self.tool_library.radius, sensor.length or USUAL_LENGTH, air,

@@ -14,7 +14,12 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.units import CM, MM, PERCENT, US
 from acoustube.ranging import Burst, Chirp, Rangefinder, Tones, blockage, record
-from acoustube.runs.sensor_file import KIND, finite_numbers, twin_settings
+from acoustube.runs.sensor_file import (
+    KIND,
+    finite_numbers,
+    sensor_document,
+    twin_settings,
+)
 from acoustube.runs.sweep.dataset import rangefinder_in
 from acoustube.signals import Calibration, Processing
 
@@ -106,8 +111,10 @@ def _calibrated(own: Rangefinder, trigger: float, common: Mapping[str, Any]) -> 
 
 
 def thermometer(path: Path) -> float:
-    """Return the error in K of a sensor's thermometer, reading minus air, as its file states."""
-    return rangefinder_in(read_document(path), path).temperature_bias
+    """Return the error in K of a sensor's thermometer, reading minus air; 0 if not in its file."""
+    document = sensor_document(read_document(path), path)
+    rangefinder = rangefinder_in(document, path)
+    return rangefinder.temperature_bias if "temperature_bias" in document else 0.0
 
 
 def corrections(sensor: Path | None, calibration: str | None) -> tuple[str | None, float]:
@@ -145,8 +152,8 @@ def processing_of(sensor: Path | None) -> Processing:
     drive = rangefinder_in(document, sensor).drive
     if isinstance(drive, Tones):
         raise ConfigError(
-            f"{sensor}: kind = 'Tones' has no single echo's maximum to be located; use Chirp here, "
-            "or acoustube invert"
+            f"{sensor}: the compressed pulse of kind = 'Tones' has no single maximum, by which an "
+            "echo would be located; use Chirp here, or acoustube invert"
         )
     assert isinstance(drive, Burst | Chirp)
     own = Processing(frequency=drive.frequency, cutoff=min(LOW_PASS, drive.frequency / 2))
