@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import re
 from functools import partial
 
 import jax
@@ -473,6 +474,8 @@ def test_goal_that_no_tube_meets_is_reported(tmp_path):
     result = run_here("design", tmp_path / "goal.toml", "--out", out, "--tubes", 1)
     assert result.returncode == 0, result.stderr
     assert "No candidate meets the goal" in " ".join(result.stdout.split())
+    for words in (result.stdout, (out / "design.html").read_text()):
+        assert re.search(r"isses the goal: reach \d.\d+ m \(goal 9.5\)", " ".join(words.split()))
 
 
 def test_tubes_that_cannot_be_computed_are_one_sentence(monkeypatch, tmp_path):

@@ -1,1 +1,1 @@
-"""Figures and page of a design."""
+"""Results of a design: `drawing`, `figures`, `page` and `files` (the content of its folder)."""

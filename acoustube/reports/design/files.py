@@ -40,9 +40,7 @@ def contents_of(found: Designed) -> dict[str, bytes | str]:
         "goal.toml": goal + f"# found with --seed {found.seed}\n",
         "front.csv": front_csv(found.front),
         "front.png": pictures["front"],
-        "design.html": page_of(
-            goal, found.sensors, pictures, found.notes, found.design.goal.separation
-        ),
+        "design.html": page_of(goal, found.sensors, pictures, found.notes, found.design),
     }
     for one in found.sensors:
         contents[f"{one.name}.sensor.toml"] = sensor_toml(found.design, one.candidate)

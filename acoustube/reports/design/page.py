@@ -12,6 +12,7 @@ import numpy as np
 
 from acoustube.base.units import CM, MM, PERCENT
 from acoustube.base.version import __version__
+from acoustube.runs.config.goal import DesignGoal
 from acoustube.runs.design.choice import Recommended
 
 HEADINGS = {
@@ -32,7 +33,7 @@ def page_of(
     sensors: Sequence[Recommended],
     pictures: Mapping[str, bytes],
     notes: Sequence[str],
-    separation: float,
+    design: DesignGoal,
 ) -> str:
     """Return the page as self-contained HTML.
 
@@ -45,8 +46,7 @@ def page_of(
         PNG by the name of the sensor, ``NAME drawing`` and ``front``.
     notes : sequence of str
         Sentences on the validity of the results.
-    separation : float
-        Distance between two presses in m.
+    design : DesignGoal
     """
     rows = "".join(
         f"<tr><th scope=row>{escape(one.name)}</th>"
@@ -58,7 +58,7 @@ def page_of(
         headings="".join(f"<th>{escape(HEADINGS[name])}</th>" for name in sensors[0].candidate.row),
         rows=rows, front=_image(pictures["front"], "front of the candidates"),
         sensors="".join(
-            _sensor(one, pictures[one.name], pictures[f"{one.name} drawing"], separation)
+            _sensor(one, pictures[one.name], pictures[f"{one.name} drawing"], design)
             for one in sensors
         ),
         notes="".join(f"<li>{escape(note)}</li>" for note in notes),
@@ -97,7 +97,8 @@ def _ranges(one: Recommended) -> str:
     )
 
 
-def _sensor(one: Recommended, picture: bytes, drawn: bytes, separation: float) -> str:
+def _sensor(one: Recommended, picture: bytes, drawn: bytes, design: DesignGoal) -> str:
+    """Return a sensor's section."""
     limits = "".join(
         f"<li>{escape(name)}: {PERCENT * share:.0f} %</li>"
         for name, share in sorted(one.limits.items(), key=lambda item: -item[1])
@@ -111,9 +112,12 @@ def _sensor(one: Recommended, picture: bytes, drawn: bytes, separation: float) -
         "<h3>Robustness</h3><table><tr><th>made or used with</th><th>reach (m)</th>"
         "<th>force (%)</th><th>resolution (cm)</th><th>place (mm)</th></tr>" + changed + "</table>"
     )  # fmt: skip
+    short = one.candidate.shortfalls(design)
+    missed = f"<p>Misses the goal: {escape(', '.join(short))}.</p>" if short else ""
     return (
-        f"<h2>{escape(one.name)}: {escape(one.words)}</h2>{_image(drawn, f'drawing of {one.name}')}"
-        f"{_image(picture, f'maps of {one.name}')}{_pairs(one, separation)}{_ranges(one)}"
+        f"<h2>{escape(one.name)}: {escape(one.words)}</h2>{missed}"
+        f"{_image(drawn, f'drawing of {one.name}')}{_image(picture, f'maps of {one.name}')}"
+        f"{_pairs(one, design.goal.separation)}{_ranges(one)}"
         f"<h3>Mean square error of force, by cause</h3><ul>{limits}</ul>{table}"
     )
 

@@ -47,13 +47,19 @@ class Candidate:
         """Reach, relative rms deviation of force, resolution, median deviation of place, in SI."""
         return np.append(self.found.objectives, np.median(self.found.place))
 
-    def meets(self, design: DesignGoal) -> bool:
-        """Return whether reach, resolution, place and nearest press meet the goal."""
+    def shortfalls(self, design: DesignGoal) -> list[str]:
+        """Return the requirements that are missed, each with the value and the required one."""
         goal, (reach, _, resolution, place) = design.goal, self.objectives
-        return bool(
-            reach >= goal.reach_m and resolution <= goal.separation
-            and place <= goal.place_deviation and self.found.nearest <= goal.nearest_m
-        )  # fmt: skip
+        found, nearest = [], float(self.found.nearest)
+        for name, short, scale, unit, value, asked in (
+            ("reach", reach < goal.reach_m, 1.0, "m", reach, goal.reach_m),
+            ("resolution", resolution > goal.separation, CM, "cm", resolution, goal.separation),
+            ("place", place > goal.place_deviation, MM, "mm", place, goal.place_deviation),
+            ("nearest press", nearest > goal.nearest_m, CM, "cm", nearest, goal.nearest_m),
+        ):
+            if short:
+                found.append(f"{name} {scale * value:.4g} {unit} (goal {scale * asked:.4g})")
+        return found
 
     @property
     def transducer(self) -> str:

@@ -46,6 +46,7 @@ def sensor_toml(design: DesignGoal, candidate: Candidate) -> str:
         document.add(tomlkit.comment(f"Its library: acoustube library --band {low:g} {high:g}"))
     document.add(OF_OTHERS[0], round(CM * design.goal.reach_m, 6))
     add_rangefinder(document, rangefinder)
+    document.remove("temperature_bias")  # of the sleeve paper's thermometer
     return tomlkit.dumps(document)
 
 

@@ -76,7 +76,7 @@ class Designed(NamedTuple):
     def notes(self) -> list[str]:
         """Warnings, and assumptions of the predictions."""
         found = []
-        if not any(one.meets(self.design) for one in self.front):
+        if all(one.shortfalls(self.design) for one in self.front):
             found.append(
                 "No candidate meets the goal; the recommended sensors miss it by least in reach, "
                 "resolution, place and nearest press."
@@ -211,6 +211,8 @@ def summary(found: Designed) -> list[tuple[str, str]]:
             f"(median {row['force_median_percent']:g} %), two presses {row['resolution_cm']:g} cm, "
             f"place {row['place_mm']:g} mm"
         )
+        if short := one.candidate.shortfalls(found.design):
+            words += f"; misses the goal: {', '.join(short)}"
         rows.append((one.name, words))
     rows.append(("tubes", f"{found.tubes} computed, {len(found.failed)} not"))
     return rows
