@@ -23,6 +23,7 @@ from acoustube.inversion.posterior import mixture
 from acoustube.inversion.wrap import Wrap
 from acoustube.ranging import Rangefinder, record
 from acoustube.recordings import write
+from acoustube.reports.figures.posterior import posterior_figure
 from acoustube.runs.libraries import files
 from acoustube.runs.libraries.plan import tool_plans
 from acoustube.runs.two_ends import EndsContacts
@@ -168,6 +169,20 @@ def test_press_behind_a_deep_one_is_found_from_the_other_end(ends):
     assert len(far.contacts) == 2
     assert [one.contact.distance.value for one in found] == pytest.approx([0.45, 0.95], abs=1e-3)
     assert [one.contact.depth.value for one in found] == pytest.approx([6.8e-3, 2.5e-3], abs=1.5e-4)
+    # The picture: the second press is above the noise at the far end only, left of the first.
+    pairs = [(one.contact, far.misfit) for one in found]
+    known = EndsContacts(pairs, far.misfit, True, near, (far, LENGTH))
+    axes = posterior_figure(known, Library((tool(),))).axes
+    assert len(axes) == 3 + 2 * 3
+    echoes = dict(zip(("near", "far"), axes, strict=False))
+    for name, one in echoes.items():
+        assert one.get_title().endswith(f"{name} end")
+        assert one.get_xlim() == (0.0, 100 * LENGTH)
+        marks = [line.get_xdata()[0] for line in one.lines if len(line.get_xdata()) == 2]
+        assert marks == pytest.approx([45, 95], abs=0.1)
+    first = {name: one.lines[0].get_xdata()[0] for name, one in echoes.items()}
+    assert first["near"] < 30
+    assert first["far"] == pytest.approx(100 * LENGTH - first["near"], abs=1)
 
 
 def test_positions_from_both_ends_have_no_half_wave_ambiguity(ends):

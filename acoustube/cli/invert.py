@@ -20,7 +20,7 @@ from acoustube.base.rules import Number
 from acoustube.cli._options import WHOLE, Checked, Output, Recording, check_files
 
 if TYPE_CHECKING:
-    from acoustube.inversion import Inversion, Library
+    from acoustube.inversion import Library
     from acoustube.runs.two_ends import EndsContacts
 
 
@@ -106,8 +106,8 @@ def invert(
     out : Path
         Table to write (CSV), one row per contact; standard output if not given.
     figure : Path
-        Picture to write (PNG, PDF or SVG): posterior and limit of detection along the tube, from
-        the near end, of the first group with a contact, else of the first group.
+        Picture to write (PNG, PDF or SVG): echoes from each end, posterior and limit of
+        detection along the tube, of the first group with a contact, else of the first group.
     detection_limits : Path
         Table to write (CSV) of the limits of detection along the tube for each group and tool: the
         least depth and force at which a further contact would be detected; inf if at no depth.
@@ -169,9 +169,9 @@ class _Files:
     figure: Path | None
     limits: Path | None
     rows: list[list[object]] = field(default_factory=list)
-    shown: Inversion | None = None
+    shown: EndsContacts | None = None
     pending: list[list[object]] = field(default_factory=list)
-    candidate: Inversion | None = None
+    candidate: EndsContacts | None = None
 
     def add(self, path: Path, group: int, found: EndsContacts) -> None:
         """Add the results of a group of cycles, pending until its file is complete."""
@@ -179,7 +179,7 @@ class _Files:
 
         if self.limits is not None:
             self.pending += limit_rows(path, group, found, self.library)
-        self.candidate = _preferred(self.candidate, found.near)
+        self.candidate = _preferred(self.candidate, found)
 
     def keep(self) -> None:
         """Keep the pending results of the groups of a file."""
@@ -205,8 +205,8 @@ class _Files:
         return found
 
 
-def _preferred(known: Inversion | None, new: Inversion | None) -> Inversion | None:
-    """Return the first inversion with a contact, or the first."""
+def _preferred(known: EndsContacts | None, new: EndsContacts | None) -> EndsContacts | None:
+    """Return the first group with a contact, or the first."""
     if known is None or (new is not None and new.contacts and not known.contacts):
         return new
     return known
@@ -220,7 +220,7 @@ def _check(
     check_files(out=out, figure=figure, detection_limits=limits)
 
 
-def _drawn(found: Inversion, library: Library, figure: Path) -> bytes:
+def _drawn(found: EndsContacts, library: Library, figure: Path) -> bytes:
     """Return a picture of the posterior along the tube."""
     from acoustube.reports.figures.posterior import posterior_figure
     from acoustube.reports.figures.run import picture

@@ -49,6 +49,20 @@ class EndsContacts(NamedTuple):
     near: Inversion
     far: tuple[Inversion, float] | None = None
 
+    @classmethod
+    def of_one_end(cls, near: Inversion) -> EndsContacts:
+        """Return the contacts of an inversion from one end."""
+        return cls([(one, near.misfit) for one in near.contacts], near.misfit, near.fits, near)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Nearest and farthest position from the near end in m at which contacts are sought."""
+        low, high = self.near.model.span
+        if self.far is None:
+            return low, high
+        far, length = self.far
+        return min(low, length - far.model.span[1]), max(high, length - far.model.span[0])
+
     def detection_limit(self, places: ArrayLike, tool: int = 0) -> Array:
         """Return the limits of detection, at each position the lower one of both ends.
 
@@ -106,8 +120,7 @@ class EndsInverter:
         here = self.near.groups(path, data, size, check)
         if far is None:
             for number, one in here:
-                contacts = [(contact, one.misfit) for contact in one.contacts]
-                yield number, EndsContacts(contacts, one.misfit, one.fits, one)
+                yield number, EndsContacts.of_one_end(one)
             return
         source, other = far
         if isinstance(other, ConfigError):
@@ -120,8 +133,8 @@ class EndsInverter:
         length = self.near.length(data)
         if length is None:
             raise ConfigError(
-                f"{path} does not state the tube's length, which joins both ends; state length_cm "
-                "in the file of the sensor"
+                f"{path} does not state the tube's length, which is needed to combine recordings "
+                "from both ends; state length_cm in the file of the sensor"
             )
         if length not in self._far:
             self._far[length] = self.near.from_other_end(length, self.untouched)
@@ -162,12 +175,8 @@ def limit_rows(path: Path, group: int, found: EndsContacts, library: Library) ->
         that has a limit.
     """
     rows: list[list[object]] = []
-    span = found.near.model.span
-    if found.far is not None:
-        far, length = found.far
-        span = min(span[0], length - far.model.span[1]), max(span[1], length - far.model.span[0])
     for number, tool in enumerate(library.tools):
-        places, depths = limits_along(partial(found.detection_limit, tool=number), span)
+        places, depths = limits_along(partial(found.detection_limit, tool=number), found.span)
         known = np.isfinite(depths)
         forces = np.full(len(depths), np.inf)
         forces[known] = tool.force_at(depths[known])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -9,64 +10,88 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from acoustube.base.report import counted
+from acoustube.base.types import Array
 from acoustube.base.units import CM, MM
 from acoustube.inversion import Inversion, Library
 from acoustube.inversion.detection import limits_along
 from acoustube.inversion.estimate import Contact
 from acoustube.reports.figures.run import ENVELOPE, PRESS, RETURN
+from acoustube.runs.two_ends import EndsContacts
 
 SPAN = 4.0
 """Half the width of a panel in standard deviations."""
 POINTS = 400
 
 
-def posterior_figure(found: Inversion, library: Library) -> Figure:
-    """Draw the echo along the tube, recorded and modelled, and each contact's distributions."""
-    rows = len(found.contacts)
-    sheet = Figure(figsize=(9.0, 5.4 + 2.2 * rows), layout="constrained")
-    grid = sheet.add_gridspec(2 + rows, 3, height_ratios=[1.4, *[1.0] * (1 + rows)])
+def posterior_figure(found: EndsContacts, library: Library) -> Figure:
+    """Draw the echoes from each end, recorded and modelled, and each contact's distributions.
+
+    Parameters
+    ----------
+    found : EndsContacts
+        Contacts of a group of cycles;
+        :meth:`~acoustube.runs.two_ends.EndsContacts.of_one_end` of an inversion.
+    library : Library
+        The library of the inversion.
+    """
+    ends = 1 if found.far is None else 2
+    contacts = [contact for contact, _ in found.contacts]
+    above, rows = ends + 1, len(contacts)
+    sheet = Figure(figsize=(9.0, 2.2 + 3.2 * ends + 2.2 * rows), layout="constrained")
+    grid = sheet.add_gridspec(
+        above + rows, 3, height_ratios=[*[1.4] * ends, *[1.0] * (1 + rows)]
+    )  # fmt: skip
     echo = sheet.add_subplot(grid[0, :])
-    _draw_echo(echo, found)
-    _draw_limit(sheet.add_subplot(grid[1, :], sharex=echo), found, library)
-    for row, contact in enumerate(found.contacts):
+    of_end = "" if found.far is None else ", near end"
+    _draw_echo(echo, found.near, found.near.place, contacts, of_end)
+    if found.far is not None:
+        far, length = found.far
+        axes = sheet.add_subplot(grid[1, :], sharex=echo)
+        _draw_echo(axes, far, length - far.place, contacts, ", far end")
+    _draw_limit(sheet.add_subplot(grid[ends, :], sharex=echo), found, library)
+    for row, contact in enumerate(contacts):
         tool = library.tools[contact.tool].name
-        panels = [sheet.add_subplot(grid[2 + row, i]) for i in range(3)]
+        panels = [sheet.add_subplot(grid[above + row, i]) for i in range(3)]
         _draw_contact(panels, contact, tool)
     return sheet
 
 
-def _draw_echo(axes: Axes, found: Inversion) -> None:
-    place = CM * found.place
-    axes.semilogy(place, np.abs(found.measured), color=ENVELOPE, lw=1.2, label="recorded")
-    axes.semilogy(place, np.abs(found.explained), color=PRESS, lw=1.0, ls="--", label="explained")
-    rest = np.abs(found.measured - found.explained)
-    axes.semilogy(place, rest, color="0.6", lw=0.8, label="not explained")
+def _draw_echo(
+    axes: Axes, end: Inversion, place: Array, contacts: Sequence[Contact], of_end: str
+) -> None:
+    """Draw the echo that an end receives, over distances in m from the near face."""
+    at = CM * place
+    axes.semilogy(at, np.abs(end.measured), color=ENVELOPE, lw=1.2, label="recorded")
+    axes.semilogy(at, np.abs(end.explained), color=PRESS, lw=1.0, ls="--", label="explained")
+    rest = np.abs(end.measured - end.explained)
+    axes.semilogy(at, rest, color="0.6", lw=0.8, label="not explained")
     floor = float(np.median(rest))
-    axes.set_ylim(0.3 * floor, 2 * float(np.abs(found.measured).max()))
-    for contact in found.contacts:
+    axes.set_ylim(0.3 * floor, 2 * float(np.abs(end.measured).max()))
+    for contact in contacts:
         axes.axvline(CM * contact.distance.value, color=RETURN, lw=0.8)
-    axes.set_xlim(0.0, CM * found.model.base.length)
+    axes.set_xlim(0.0, CM * end.model.base.length)
     axes.set_xlabel("distance from which an echo begins at that time (cm)")
     axes.set_ylabel("echo without clutter (counts)")
-    words = f"{counted(len(found.contacts), 'contact')}, misfit {found.misfit:.3g}"
-    axes.set_title(words if found.contacts else "no contact", fontsize=10)
+    words = f"{counted(len(end.contacts), 'contact')}, misfit {end.misfit:.3g}"
+    axes.set_title((words if end.contacts else "no contact") + of_end, fontsize=10)
     axes.legend(fontsize=8)
 
 
-def _draw_limit(axes: Axes, found: Inversion, library: Library) -> None:
+def _draw_limit(axes: Axes, found: EndsContacts, library: Library) -> None:
     """Draw the contacts' depths, and the limit of detection of a further contact."""
-    tool = found.contacts[0].tool if found.contacts else 0
+    contacts = [contact for contact, _ in found.contacts]
+    tool = contacts[0].tool if contacts else 0
     deepest = MM * max(one.depth[-1] for one in library.tools)
-    places, depths = limits_along(partial(found.detection_limit, tool=tool), found.model.span)
+    places, depths = limits_along(partial(found.detection_limit, tool=tool), found.span)
     hidden = np.where(np.isinf(depths), 1.1 * deepest, MM * depths)
     axes.fill_between(CM * places, 0.0, hidden, color="0.85", lw=0)
-    first, last, end = CM * places[0], CM * places[-1], CM * found.model.base.length
+    first, last, end = CM * places[0], CM * places[-1], CM * found.near.model.base.length
     axes.fill_between(
         [0.0, first, *(CM * places), last, end], 0.0, 1.1 * deepest,
         where=[True, True, *np.isnan(depths), True, True], facecolor="none", edgecolor="0.8",
         hatch="///", lw=0,
     )  # fmt: skip
-    for contact in found.contacts:
+    for contact in contacts:
         place = CM * contact.distance.value
         axes.plot([place, place], MM * np.array(contact.depth.intervals[0.9]), color=RETURN)
         axes.plot(place, MM * contact.depth.value, "o", ms=4, color=RETURN)
