@@ -5,7 +5,7 @@ What does a robot's arm feel?
 A finger slides along a tube on the moving forearm of a robot. MuJoCo computes the motion and the
 forces of the contact, and the fast sensor (:class:`acoustube.sensor.TubeSensor`) simulates the
 cycles that the tube's rangefinder records. The tracker estimates the contact from these cycles
-alone. ``pip install 'acoustube[robot]'`` installs MuJoCo.
+alone. ``pip install '.[robot]'`` installs MuJoCo.
 """
 
 # %%

@@ -4,7 +4,7 @@ How do I use a cluster?
 
 A sweep takes any executor for its workers, for example that of Dask. Here the cluster consists of
 two threads of this process. For a real cluster only the address differs, as with
-``acoustube sweep --dask ADDRESS``. Dask is installed by ``pip install 'acoustube[dask]'``.
+``acoustube sweep --dask ADDRESS``. Dask is installed by ``pip install '.[dask]'``.
 """
 
 # %%
