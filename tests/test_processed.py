@@ -175,7 +175,7 @@ def test_calibration_is_written_and_applied():
         "c.png", "--sigmas", "8",
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
-    assert "111 of 111 blockages: slope 0.99" in result.stdout
+    assert "111 of 111 closures used: slope 0.99" in result.stdout
     assert "0 % of the untouched cycles show an echo" in " ".join(result.stdout.split())
     assert Path("c.png").stat().st_size > 10_000
     plain, calibrated = (

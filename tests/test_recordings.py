@@ -750,5 +750,5 @@ def test_what_a_file_of_our_own_states_wrongly_is_named(tmp_path, name, value):
     with pytest.raises(ConfigError, match=rf"wrong\.nc: {name} = "):
         read(wrong)
     data.assign(depth=("cycle", ["deep", "deeper"])).to_netcdf(odd, engine="h5netcdf")
-    with pytest.raises(ConfigError, match=r"odd\.nc: depth is of type .* one number a cycle"):
+    with pytest.raises(ConfigError, match=r"odd\.nc: depth has type .* one number a cycle"):
         read(odd)

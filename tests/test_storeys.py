@@ -46,6 +46,22 @@ def test_top_level_holds_the_layers_only():
     assert found - AT_TOP == set(STOREYS)
 
 
+@pytest.mark.parametrize(
+    "path",
+    [
+        path
+        for path in modules()
+        if path.name == "__init__.py" and room(path) not in {"cli", *AT_TOP}
+    ],
+    ids=lambda path: str(path.parent.relative_to(PACKAGE)),
+)
+def test_package_names_its_modules_in_reading_order(path):
+    named = set(re.findall(r"`([\w.]+)`", ast.get_docstring(ast.parse(path.read_text("utf-8")))))
+    found = {one.stem for one in path.parent.iterdir() if not one.name.startswith("_")}
+    data = {one.stem for one in path.parent.iterdir() if one.suffix not in {".py", ""}}
+    assert found - data <= named
+
+
 @pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_module_imports_only_lower_layers(path):
     here = room(path)

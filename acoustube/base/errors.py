@@ -59,7 +59,7 @@ class ConfigError(ValueError):
 class SimulationError(RuntimeError):
     """A stage that could not finish, although its settings are valid.
 
-    The message is one sentence that says which stage stopped, why, and what to change. The command
+    The message says which stage stopped, why, and what to change. The command
     line prints it and ends with exit code 1.
     """
 

@@ -126,7 +126,10 @@ def _check_free(path: str | Path, folder: Path) -> None:
             )
         # The finished run is renamed to its final name, which cannot replace these two.
         if os.path.ismount(folder) or folder == Path.cwd():
-            raise ConfigError(f"out = {path} cannot be replaced; name a new folder inside it")
+            raise ConfigError(
+                f"out = {path} is the current folder or a mount point, which cannot be replaced; "
+                "name a new folder inside it"
+            )
 
 
 @contextlib.contextmanager

@@ -22,7 +22,7 @@ FULL = {
     errno.EDQUOT: "the disk quota is used up",
     errno.EFBIG: "a file may not be that large here",
 }
-"""Error numbers of the system where a file does not fit, and their descriptions."""
+"""System error numbers (errno) of a full disk, a quota or a file size limit, and descriptions."""
 
 
 class DiskFullError(SimulationError):

@@ -107,7 +107,7 @@ class Checked:
         return SimpleNamespace(**names | numbers)
 
     def _rules(self) -> Iterator[tuple[str, Number]]:
-        """Yield the name and the rule of each number."""
+        """Yield the name of each numeric option, and the rule of its annotation."""
         for name, hint in get_type_hints(type(self), include_extras=True).items():
             rules = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
             yield from ((name, rule) for rule in rules if isinstance(rule, Number))

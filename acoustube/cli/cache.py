@@ -40,7 +40,7 @@ def clear_cache() -> None:
     code = cache.compiled()
     left = remnants.clear()
     gone = cache.clear()
-    halves = f" and {len(left)} incomplete outputs" * bool(left)
+    halves = f" and {counted(len(left), 'incomplete output')}" * bool(left)
     print(
         f"deleted {counted(len(gone), 'result')}{halves}, {_megabytes([*gone, *code, *left])} freed"
     )

@@ -155,13 +155,13 @@ def _print_calibration(found: Calibration, given: Any, report: Reporter) -> None
     gain = found.processing.gain
     assert gain is not None
     lost = np.unique(np.round(given[~np.isin(given, found.true_distance)], 3))
-    left_out = f", none at {', '.join(f'{z:g}' for z in lost)} m" if lost.size else ""
+    left_out = f" (none at {', '.join(f'{z:g}' for z in lost)} m)" if lost.size else ""
     near, far = gain.c4 - gain.c1, gain.c4 + gain.c1
     report.line(
-        f"{found.true_distance.size} of {given.size} blockages{left_out}: slope "
+        f"{found.true_distance.size} of {given.size} closures used{left_out}: slope "
         f"{found.slope.value:.4f} +- {found.slope.deviation:.4f} m/m, RMSE "
-        f"{MM * found.distance_rmse:.3g} mm; arctan RMSE {found.amplitude_rmse:.3g}, tanh from "
-        f"{near:.3g} to {far:.3g}"
+        f"{MM * found.distance_rmse:.3g} mm; amplitude: RMSE of the arctan fit "
+        f"{found.amplitude_rmse:.3g}, tanh from {near:.3g} to {far:.3g}"
     )
     report.line(
         f"least prominence {found.processing.prominence:.3g} of the send pulse; "

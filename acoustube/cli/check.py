@@ -102,7 +102,7 @@ def check(*, json: Annotated[bool, FLAG] = False, output: Output = Output()) -> 
 
 
 def _in_json(outcome: Outcome) -> dict[str, Any]:
-    """Return a test for JSON, with None in place of nan."""
+    """Return a test's outcome as a dictionary for JSON, with None in place of nan."""
     computed = None if outcome.problem else outcome.computed
     return outcome._asdict() | {"computed": computed, "passed": outcome.passed}
 

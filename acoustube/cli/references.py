@@ -36,7 +36,7 @@ TOPICS = {
     "intervals": "prediction intervals",
     "inversion": "the inversion of waveforms",
 }
-"""Methods by the keys of their references, in the order of the data."""
+"""Descriptions of the methods by the topics of their references, in the order of the data flow."""
 
 
 class Reference(NamedTuple):

@@ -118,7 +118,7 @@ class Execution:
         if not 1 <= number <= count:
             raise ConfigError(
                 "is not a shard", setting="shard", value=self.shard,
-                advice="write NUMBER/COUNT, from 1/COUNT on, such as 3/40",
+                advice="write NUMBER/COUNT with NUMBER from 1 to COUNT, such as 3/40",
             )  # fmt: skip
         return number, count
 

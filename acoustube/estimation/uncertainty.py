@@ -158,7 +158,10 @@ class Conformal:
         return self
 
     def _fit(self, x: Array, targets: Array, fold: Folds, progress: Report) -> None:
-        """Fit to rows (row, input) and (row, target), given the fold of each row."""
+        """Fit the models of all folds to inputs (row, input) and targets (row, target).
+
+        The fold of each row is a number from 0. The conformal quantiles are set too.
+        """
         raise NotImplementedError
 
     def _estimated(self, X: ArrayLike) -> tuple[Array, Array]:

@@ -299,7 +299,7 @@ def compile_contraction() -> None:
 
 
 def _as_from_jax(array: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a read-only array, like those of JAX, for which numba has a type of its own."""
+    """Mark an array as read-only, as JAX's arrays are for numba, and return it."""
     array.flags.writeable = False
     return array
 

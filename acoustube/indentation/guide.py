@@ -53,13 +53,14 @@ class Guide(NamedTuple):
 
 
 def guide(coarse: Indentation, fine: Mesh) -> Guide:
-    """Return the guide for the press of a mesh.
+    """Return the interpolation of a coarse mesh's load path at the nodes of a fine mesh.
 
     Parameters
     ----------
     coarse : Indentation
-        On a mesh from :func:`coarse_mesh`.
+        Press of a mesh from :func:`coarse_mesh`, with at least two rows.
     fine : Mesh
+        Swept mesh of the same part of the tube.
     """
     path = PchipInterpolator(coarse.depth, coarse.displacement)
     return Guide(float(coarse.depth[-1]), path, prolongation(coarse.mesh, fine))

@@ -78,7 +78,7 @@ class Indenter:
         if self.edge > self.diameter / 2:
             raise ConfigError(
                 "is larger than the punch's radius", setting="edge_radius", value=self.edge_radius,
-                unit="m", advice=f"use at most {self.diameter / 2} m",
+                unit="m", advice=f"use at most {self.diameter / 2:g} m",
             )  # fmt: skip
 
     @property

@@ -93,7 +93,8 @@ def minimise(
     bodies : tuple of Body
         Indenters and ground at their heights.
     tolerance : float
-        Largest norm of the residual nodal forces at convergence, in N.
+        Largest norm of the residual nodal forces at convergence, in N; for a press it follows from
+        :data:`acoustube.indentation.load_path.FORCE_TOLERANCE`.
 
     Returns
     -------
@@ -150,7 +151,7 @@ class _Tangent(NamedTuple):
     stable: bool
     contact: CondensedContact | None
     indefinite: sparse.csc_array | None = None
-    """Lower triangle of the tangent itself, if it is not stable."""
+    """Lower triangle of the tangent in N/m if that is not positive definite, else None."""
 
     def step(self, state: State) -> Array:
         """Return the Newton step (n_free,) in m, with the contact solved exactly if possible."""

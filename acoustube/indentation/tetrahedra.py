@@ -1,4 +1,4 @@
-"""Meshes of quadratic tetrahedra for a wall given as a closed surface (STL, PLY or OBJ).
+"""Meshes of quadratic tetrahedra for a wall given as a closed surface (STL, PLY, OBJ or VTP).
 
 A piece of the surface is cut out around the indenter and filled with linear tetrahedra by fTetWild
 [1]_ (through ``pytetwild``), which :mod:`acoustube.indentation.boundary_nodes` makes quadratic.

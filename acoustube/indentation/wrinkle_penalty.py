@@ -74,7 +74,7 @@ def _squared(stencils: Index, factors: Array, weights: Array, n_nodes: int) -> s
 
 
 def _stencils_around(mesh: Mesh) -> tuple[Index, NDArray[np.bool_], Array]:
-    """Return the stencil of the circumferential difference at every node of every ring.
+    """Return the stencils of the sixth difference at the nodes of the rings of element corners.
 
     Returns
     -------

@@ -1,14 +1,18 @@
 """Waveform inversion: number, places, depths and forces of presses from the whole echo.
 
-Reading order: `tools` (scattering of tools over depth), `tables` and `spline_sums` (its
-interpolation), `paths` and `wrap` (propagation along straight and wrapped tubes), `network`,
-`network_sums`, `joints`, `joint_sums` and `coupled_network` (presses along a tube), `quantiser`
-(rounded samples), `baseband` and `folded` (cycles of the rangefinder), `clutter`, `model` (the
-forward model), `fit` (its likelihood), `search` (candidates), `hypotheses` (sets of presses),
-`peeling` (presses in the order of time), `doubt` (whether one more is real), `other_depths`,
-`model_error`, `posterior`, `detection` (limit of detection) and `estimate`; `two_ends` (a
-rangefinder at each end). For streams: `motion` (the filter), `proposals` and `births` (new
-contacts), `cycle` and `tracks` (one explanation of the cycles) and `tracking`.
+Reading order: `tools` (scattering of tools over depth), `tables` and `spline_sums` (interpolation
+of that scattering), `paths` and `wrap` (propagation along straight and wrapped tubes), `network`,
+`network_sums`, `joints`, `joint_sums`, `coupled_network` and `small_matrices` (echo of presses
+along a tube), `quantiser` (rounded samples), `baseband` and `folded` (cycles of the rangefinder),
+`clutter`, `model` (the forward model and its priors), `parameters` (places, depths and nuisance
+parameters, prior odds of a press), `likelihood` (covariance and whitening), `fit` (maxima of the
+likelihood), `search` (candidates), `hypotheses` (sets of presses), `peeling` (presses in the order
+of time), `doubt` (whether one more press is real), `other_depths`, `model_error`, `posterior`,
+`detection` (limit of detection) and `estimate` (the public function); `two_ends` (a rangefinder at
+each end). For streams: `motion` (the filter), `proposals` and `births` (new contacts), `fewer`
+(one contact in place of two), `cycle` and `tracks` (one hypothesis, updated by each cycle) and
+`tracking`. Packages: `twin` (parameters of a rangefinder from recordings) and `design` (expected
+accuracy of a sensor).
 """
 
 from acoustube.inversion.baseband import Baseband

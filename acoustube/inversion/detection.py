@@ -67,8 +67,9 @@ def detection_limit(
     A change of the known parameters could explain a part of the echo that a further press adds.
     This part is subtracted, at the least favourable phase. The squared norm of the rest, with the
     weights of :mod:`acoustube.inversion.doubt`, is the deviance that the press explains. The press
-    is detected where this exceeds the cost of its prior odds and of its two parameters. Where the
-    reflection falls again with depth, the limit is the depth beyond which all are detected.
+    is detected where this deviance, less :data:`NORMAL_QUANTILE` of its standard deviations,
+    exceeds the cost of its prior odds and of its two parameters. Where the reflection falls again
+    with depth, the limit is the depth beyond which all are detected.
     """
     table = model.tables[tool]
     depths = np.linspace(*table.range, 2 + int(np.diff(table.range)[0] / STEP))

@@ -10,7 +10,8 @@ from acoustube.inversion.model import NUISANCES, ForwardModel
 LARGEST_STEPS = 1.5e-3, 4e-4
 """Largest changes of place and depth per iteration, in m."""
 CLOSEST = 0.03
-"""Smallest distance between two presses in m; their deformed parts overlap at larger ones."""
+"""Smallest distance allowed between two presses in m. Their deformed parts overlap up to about
+twice this distance."""
 PRESS_ODDS = 2 * np.log([1e4, 1e9, 1e12])
 """Minus twice the logarithms of the prior odds of a first press, a second, and each further one:
 1e-4, 1e-9 and 1e-12. The likelihood takes errors of the model as independent. A false detection far

@@ -128,7 +128,10 @@ class PlaneFilter:
         return float(gain.max())
 
     def _phases(self, places: Array, *, behind: bool = False) -> Complex:
-        """Return the plane wave's phases in rad at places, or behind contacts there, (n, n_f)."""
+        """Return the plane wave's one-way phases in rad, (n, n_f), complex with losses.
+
+        They are those up to presses at places in m, (n,), or behind these presses.
+        """
         return self.model.path.phases(places, 0.0, behind=behind)[..., 0]
 
     def _dimmed(self, whiten: Weights) -> Array:

@@ -62,8 +62,8 @@ tests in a row after which such a contact is removed."""
 NEW = 2, 4, 7
 """Ages in cycles at which a contact is sought again near its place, and after loud residuals."""
 YOUNG, OFTEN, SELDOM, RARELY = 15, 2, 6, 12
-"""Cycles for which a contact is young; cycles between tests for other maxima while one is young or
-the fit is bad, between tests for weak contacts, and between other tests for other maxima."""
+"""Age in cycles below which a contact is young, and numbers of cycles between tests: for other
+maxima while a contact is young or the fit is bad, for weak contacts, and for other maxima else."""
 MERGED = 3
 """Cycles between tests of whether a young contact and its neighbour are a single contact."""
 LOUD = 3.0

@@ -239,7 +239,17 @@ class WrappedPath:
         )  # fmt: skip
 
     def phases(self, places: Array, temperature: float, *, behind: bool = False) -> Complex:
-        """Return the modes' phases in rad before or behind presses at places (n,), (n, n_f, m)."""
+        """Return the complex phases in rad of the modes at the ends of presses, (n, n_f, m).
+
+        Parameters
+        ----------
+        places : ndarray
+            Middles of the presses in m, (n,).
+        temperature : float
+            Deviation of the temperature in K.
+        behind : bool
+            At the end behind each press instead of the end before it.
+        """
         reach = self.wrap.reach
         at = self._inside(places + (reach if behind else -reach))
         return np.asarray(self.phase(at) + temperature * self.warmer(at))
@@ -283,7 +293,14 @@ def _bent(
 
 
 def _joint(bent: BentModes, m: int) -> Complex:
-    """Return the coefficients of a joint to m modes of presses as one row, (n_f, n_parts)."""
+    """Return the coefficients of a joint between the bent tube and a press with m modes.
+
+    Returns
+    -------
+    ndarray
+        Transmission, reflection back to the press, reflection back into the bend, and transmission
+        of the modes that the press does not have, one after the other, (n_f, n_parts).
+    """
     n, missing = len(bent.wavenumber), (0, MODES - m)
     parts = (
         np.pad(bent.passed[:, :m], ((0, 0), missing, (0, 0))),

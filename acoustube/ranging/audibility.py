@@ -21,7 +21,7 @@ POLES = 20.598997, 107.65265, 737.86223, 12194.217
 HEARD = 20e3
 """Highest audible frequency in Hz; sound above it is not counted."""
 STEP = 10.0
-"""Step in Hz of the integral."""
+"""Frequency step in Hz of the integral over the drive's spectrum."""
 
 
 @checked(frequency=FREQUENCIES)

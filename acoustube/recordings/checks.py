@@ -152,6 +152,6 @@ def check_statements(path: Path, data: xr.Dataset, labels: Iterable[str]) -> Non
     for name in (*labels, *STATED):
         if name in data and (data[name].dims != ("cycle",) or data[name].dtype.kind not in "iuf"):
             raise ConfigError(
-                f"{path}: {name} is of type {data[name].dtype} over {data[name].dims}; give one "
-                "number a cycle"
+                f"{path}: {name} has type {data[name].dtype} and dimensions {data[name].dims}; "
+                "give one number a cycle"
             )

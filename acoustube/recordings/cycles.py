@@ -193,7 +193,7 @@ def separate_known(contents: Mapping[str, Any]) -> tuple[Named, Named]:
 
 
 def _is_synonym(name: str) -> bool:
-    """Return whether a name does not begin with this package's name for its quantity."""
+    """Return False if a name begins with this package's name for its quantity, else True."""
     quantity = meaning(name)[0]
     return not quantity or not name.startswith(quantity)
 
@@ -279,7 +279,10 @@ def _cut(path: Path, record: NDArray[Any], known: Named, notes: list[str]) -> ND
 
 
 def _rate(path: Path, known: Named, lengths: tuple[int, ...]) -> float:
-    """Return the given sampling rate, or else that of the time axis; raise if they disagree."""
+    """Return the sampling rate in Hz, as given or else of the time axis.
+
+    ConfigError if neither is there, they disagree, or the axis has none of the `lengths`.
+    """
     given = _single(path, "sampling rate", known.get("sampling_rate"))
     axis = None
     if "time" in known:
@@ -383,9 +386,10 @@ def _too_long(labels: Named) -> list[str]:
 
 
 def _start(known: Named, length: int) -> float:
-    """Return the start of a cycle in s on its time axis, whose zero is taken for the trigger.
+    """Return the time of a cycle's first sample in s, from its time axis with the trigger at 0.
 
-    Zero for an axis of a whole record or one far from zero, neither of which starts at the trigger.
+    It is 0 without a time axis, for one of several cycles, and for one that starts
+    :data:`MAX_LEAD_TIME` or more from 0: these do not refer to the trigger.
     """
     time = np.ravel(known.get("time", ()))
     near = time.size == length and abs(float(time[0])) < MAX_LEAD_TIME

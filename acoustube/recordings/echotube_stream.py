@@ -43,7 +43,7 @@ class Frame(NamedTuple):
     ----------
     pulse_width : int
         Time of flight that the rangefinder itself measured, in us, 0 to 65535. If the echo arrives
-        after the last sample it is that of the previous cycle: the board packs it on sampling.
+        after the last sample, it is that of the previous cycle, since the board stores it then.
     samples : array of shape (time,)
         Unsigned 8-bit samples, beginning with the cycle's third: the pulse width replaces the
         first two.

@@ -64,7 +64,7 @@ def read_markers(
     path : str or path
         A C3D file, or a text table with commas, semicolons or tabs.
     unit : str, optional
-        ``mm``, ``cm`` or ``m``, in place of the file's own; default mm.
+        ``mm``, ``cm`` or ``m``; by default that which the file states, or else mm.
     columns : sequence of str, optional
         The names of the two columns, where the file has others too.
 
@@ -76,8 +76,8 @@ def read_markers(
     Raises
     ------
     ConfigError
-        If the file is missing, cannot be read or does not have two columns, or the package ezc3d,
-        which reads C3D, is missing.
+        If `unit` is unknown, the file is missing, too large, cannot be read, states another unit
+        or does not have two columns, or the package ezc3d, which reads C3D, is missing.
     """
     path = Path(path)
     if unit is not None and unit not in UNITS:

@@ -49,7 +49,7 @@ def fit_in_words(path: Path, axis: str, markers: Markers, arm: Arm) -> list[str]
         words.append(
             f"column {name}: r = {MM * line.radius:.2f} mm ({MM * low[0]:.2f} to "
             f"{MM * high[0]:.2f}) + {line.taper:.4f} z ({low[1]:.4f} to {high[1]:.4f}) at 95 %, "
-            f"{int(kept.sum())} markers within {MM * line.deviation:.2f} mm"
+            f"{int(kept.sum())} markers with a standard deviation of {MM * line.deviation:.2f} mm"
             + (f", {left} left out as outliers" if left else "")
             + (f", {gaps} gap{'s' * (gaps > 1)}" if gaps else "")
         )

@@ -1,6 +1,13 @@
 """Complete computations: settings, one press, sweeps, datasets, and their files.
 
-Read `config` (settings, their checks, and in `config.si` their SI units), `presses` (with the
-cache), `sound` (band, solvers, probe), `simulate`, `results` (the variables of a run's file), and
-for many presses `sweep`; then `libraries`, `inversion`, `recordings`, `training`, `twin`, `live`.
+Reading order for one press: `config` (settings, their checks, and in `config.si` their SI units),
+`imported_wall`, `presses` (with the cache), `by_force`, `walls` (deformed walls for files),
+`surface_scattering` and `sound` (band, solvers, probe), `costs` (expected time and memory),
+`simulate`, `provenance` and `results` (the variables of a run's file), `scattering_file` and
+`selftest`. For many presses: `sweep`, `opening` (its files as one dataset) and `libraries`.
+
+For recordings: `recordings` (processing), `training` (features and errors), `sensor_file` and
+`wrap` (a sensor's file), `inversion`, `two_ends`, `inverted_cycles` (with labels), `live` and
+`live_contacts`. For a sensor's twin: `twin`, `twin_file`, `twin_pressed`, `twin_sessions`,
+`twin_calibration`. For a new sensor: `design`.
 """

@@ -17,7 +17,7 @@ def read_surface(path: str | Path) -> trimesh.Trimesh:
     Parameters
     ----------
     path : str or Path
-        STL, PLY or OBJ file in mm; the tube lies along z, the indenter comes from +y.
+        STL, PLY, OBJ or VTP file in mm; the tube lies along z, the indenter comes from +y.
 
     Returns
     -------

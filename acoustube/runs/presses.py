@@ -145,7 +145,10 @@ def _content(path: Path) -> str:
 def _tube_and_mesh(
     settings: SIPress, known: Arrays | None, note: Note | None
 ) -> tuple[Tube, Mesh | MeshSize]:
-    """Return the tube, and its mesh or the size of its elements; `known` is a cached press."""
+    """Return the tube, with the mesh of an imported wall or the mesh size of a round tube.
+
+    The mesh is that of a cached press, if its arrays `known` are given.
+    """
     if settings.surface is None:
         return settings.tube, settings.mesh
     from acoustube.indentation import tetrahedra, wall_surface

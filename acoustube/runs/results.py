@@ -200,14 +200,14 @@ def _mechanics(indentation: Indentation, rows: Sequence[int]) -> dict[str, Varia
         "contact_force": (taken("contact_force"), "N", "force of the indenter on the whole tube"),
         "contact_area": (
             taken("contact_area").sum(axis=1), "m2",
-            "deformed outer wall in contact with the indenter",
+            "area of the outer wall in contact with the indenter",
         ),
         "lumen_height": (at_press("height"), "m", "height of the lumen at the press"),
         "lumen_width": (at_press("width"), "m", "width of the lumen at the press"),
         "lumen_area": (at_press("area"), "m2", "cross-section of the lumen at the press"),
         "elastic_energy": (taken("energy"), "J", "elastic energy of the whole tube"),
         "smallest_gap": (
-            taken("smallest_gap"), "m", "smallest distance of the level parts of bed and roof",
+            taken("smallest_gap"), "m", "smallest distance between the level parts of both walls",
         ),
         "smallest_volume_ratio": (
             taken("smallest_volume_ratio"), "1", "smallest J at any quadrature point",

@@ -122,8 +122,8 @@ def recipe_settings(paths: Sequence[Path]) -> tuple[dict[str, Any], list[Across]
     for path, document in zip(paths, documents, strict=True):
         if "wrap" in document:
             raise ConfigError(
-                f"{path}: [wrap] is of a wrapped tube, and cycles are recorded of straight ones; "
-                "leave it out"
+                f"{path}: [wrap] describes a wrapped tube, but cycles are simulated for straight "
+                "tubes only; remove [wrap]"
             )
     first = rangefinder_in(documents[0], paths[0])
     settings: dict[str, Any] = {"rangefinder": first} | twin_settings(paths[0])

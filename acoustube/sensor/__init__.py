@@ -2,7 +2,8 @@
 
 Reading order: `tables` (scattering of tools over depth, refined from a library), `network` (echo of
 contacts joined by straight tube, in JAX), `cycles` (voltage of that echo), `assembly` (constant
-arrays of a rangefinder and a tube), `contacts` and `tube_sensor` (contacts in, cycles out);
+arrays of a rangefinder and a tube), `wrapped` (those of a wrapped tube), `contacts` and
+`tube_sensor` (contacts in, cycles out);
 `environment` for reinforcement learning.
 """
 

@@ -56,17 +56,17 @@ class Shape:
 
 
 class Parts(NamedTuple):
-    """Arrays of a sensor.
+    """Arrays of a sensor; a row is a press of its tables, at one depth of one tool.
 
     Attributes
     ----------
     constants : Constants
     depths : jax.Array
-        Depths of each tool's rows in m, rising, padded with infinity, (n_tools, n_most).
+        Depth of each row of each tool in m, rising, padded with infinity, (n_tools, n_most).
     diameters : jax.Array
-        Of the tools in m, rising, (n_tools,).
+        Diameter of each tool in m, rising, (n_tools,).
     first : jax.Array
-        First row of each tool, (n_tools,).
+        Index of the first row of each tool, (n_tools,).
     untouched : Pair
         Echo of the untouched tube, (n_f,).
     scale : Pair

@@ -191,7 +191,10 @@ def _refined(splines: list[CubicSpline], nodes: Array, plane: int, tolerance: fl
 
 
 def _rows(splines: list[CubicSpline], depths: Array) -> NDArray[np.float32]:
-    """Return real and imaginary parts at a tool's depths, (n_rows, 2, n_different, n_f)."""
+    """Return a tool's distinct scattering coefficients at its depths.
+
+    Real and imaginary part, (n_rows, 2, n_different, n_f).
+    """
     values = np.empty((len(depths), 2, len(splines), splines[0].c.shape[-1]), np.float32)
     for i, spline in enumerate(splines):
         found = spline(depths)

@@ -157,7 +157,10 @@ def _joined(
 
 
 def _bend(number: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Return the coefficients of a press of depth 0, which transmits all, (2, n_different, 1)."""
+    """Return the coefficients of a bend without a press: each mode is transmitted unchanged.
+
+    Real and imaginary part of the distinct coefficients, (2, n_different, 1), for all frequencies.
+    """
     m = len(number) // 2
     found = np.zeros((2, number.max() + 1, 1), np.float32)
     found[0, number[np.arange(m), m + np.arange(m)]] = 1.0

@@ -251,7 +251,7 @@ def low_pass(samples: ArrayLike, sampling_rate: float, cutoff: float = 10e3) -> 
 
 
 def check_cutoff(name: str, cutoff: float, sampling_rate: float) -> None:
-    """Raise unless a cut-off lies below half the sampling rate.
+    """Raise unless a cut-off in Hz lies between 0 and half the sampling rate.
 
     Raises
     ------

@@ -243,7 +243,7 @@ def _common_direction(lines: list[tuple[Array, Array, float, Kept]]) -> Array:
 
 
 def _radius_line(points: Array) -> Line:
-    """Fit r = a0 + a1 z about the axis of the coordinates."""
+    """Return the line r = a0 + a1 z fitted to the distances of markers (n, 3) from the z axis."""
     z, r = points[:, 2], np.hypot(points[:, 0], points[:, 1])
     design = np.stack([np.ones_like(z), z], axis=1)
     if np.ptp(z) < LENGTH_RANGE[0]:
@@ -256,7 +256,10 @@ def _radius_line(points: Array) -> Line:
 
 
 def _line(values: Array, jacobian: Array, residuals: Array) -> Line:
-    """Return the last two fitted parameters as a line, with their covariance."""
+    """Return the line r = radius + taper z, the last two fitted parameters, with covariance.
+
+    Residuals are in m, (n,), and the Jacobian is theirs, (n, n_parameters).
+    """
     freedom = len(residuals) - len(values)
     variance = float(residuals @ residuals) / freedom
     covariance = np.asarray(variance * np.linalg.inv(jacobian.T @ jacobian), float)

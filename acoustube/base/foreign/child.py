@@ -138,7 +138,7 @@ def _end() -> None:
 
 
 def _answer(child: _Child, request: dict[str, Any], path: Path, kind: str) -> Entries:
-    """Return the entries that the child sends."""
+    """Send a request to the child; return the labels and arrays of its answer."""
     assert child.process.stdin is not None
     try:
         child.process.stdin.write(json.dumps(request).encode() + b"\n")

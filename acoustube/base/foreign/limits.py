@@ -32,7 +32,8 @@ NAME = 200
 NESTING = 100
 """Largest depth of nested tables and lists."""
 SECONDS, BYTES_PER_SECOND = 3.0, 2e6
-"""Processor time in s of a reader in a child process: SECONDS plus size over BYTES_PER_SECOND."""
+"""Largest processor time in s of a reader in a child process: SECONDS plus the file's size in bytes
+over BYTES_PER_SECOND, times :func:`factor`."""
 VARIABLE = "ACOUSTUBE_LIMITS"
 RAISE = "give --limits FACTOR to raise the limits"
 """What to do about a file that exceeds a limit."""
@@ -140,7 +141,7 @@ def check_size(path: str | Path, kind: str, size: float, what: str = "holds") ->
 
 
 def check_count(path: str | Path, what: str, count: int, limit: int) -> None:
-    """Raise ConfigError if a file has more items than a limit, which the factor multiplies."""
+    """Raise ConfigError if a file has more items than a limit times :func:`factor`."""
     if count > limit * factor():
         raise ConfigError(
             f"{path} has {count} {what}, over the limit of {limit * factor():g}; {RAISE}"

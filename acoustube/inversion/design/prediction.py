@@ -279,7 +279,10 @@ def spectrum(frequency, electronics):  # type: ignore[no-untyped-def]
 
 
 def _chirp(off, one):  # type: ignore[no-untyped-def]
-    """Return the power of a chirp's spectrum at offsets from its middle, by Fresnel integrals."""
+    """Return the squared magnitude of a chirp's spectrum in s2, at offsets in Hz from its carrier.
+
+    It is computed by Fresnel integrals, without the part at negative frequencies.
+    """
     width = jnp.where(one.bandwidth > 0, one.bandwidth, 1.0)
     lasting = one.cycles / one.carrier
     scale = jnp.sqrt(2 * lasting / width)

@@ -2,7 +2,7 @@
 
 Reading order: `recorded` (cycles in the band of the carrier), `model` (echoes of closures, with
 derivatives), `fit` (maximum of the posterior), `posterior` (with unknown scatter of the closures),
-`estimate` (the fit as a whole), `background` (ring-down, far end, clutter, noise) and `material`
+`estimate` (the fit as a whole), `background` (ring-down, far end, clutter), `noise`, and `material`
 (the wall's modulus, from presses).
 """
 

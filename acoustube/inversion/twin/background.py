@@ -131,7 +131,7 @@ def fit_background(
     places = np.arange(0.5 * SPACING, max(last - AROUND_END, 0.1), SPACING)
     reflectors, density, explained = _clutter(twin, left, used, places, untouched.temperature)
     noise = float(np.mean(np.abs(left - explained)[early] ** 2))
-    clutter_share = np.sqrt(noise * early.sum() / max(power, 1e-300) / early.sum())
+    clutter_share = np.sqrt(noise / max(power, 1e-300))
     known = level * ring + explained
     if end is not None:
         known = known + received - level * ring - left
@@ -220,7 +220,10 @@ def _far_end(
 def _clutter(
     twin: Twin, left: Complex, used: NDArray[np.bool_], places: Array, temperature: float
 ) -> tuple[Array, Measured, Complex]:
-    """Return the reflectors, their density, and the part of the untouched cycles they explain."""
+    """Return the clutter: reflection coefficients (n_z,), reflected power per m, and echo (n_t,).
+
+    `left` is the baseband of the untouched cycles without ring-down and far end, in counts, (n_t,).
+    """
     shapes = _templates(twin, places, temperature).T
     inside = shapes[used]
     # Reflectors are real: the real and the imaginary part of the baseband are both data.

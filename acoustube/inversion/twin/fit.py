@@ -345,9 +345,11 @@ def best_start(model: EchoModel, data: Data, prior: Prior, show: Callable[[float
 
 
 def _later(point: Point, turns: float) -> Point:
-    """Return a start with a later drive and closer closures, which have the same first echoes.
+    """Return a starting point with a later drive and closer closures, or the reverse.
 
-    The phase of the echoes' repetitions differs, and the face's reflection coefficient with it.
+    The drive is shifted by `turns` periods of the carrier, and the distances are changed such that
+    the first echoes keep their delays. The phases of the repeated echoes change, so that the fit
+    finds another reflection coefficient of the face.
     """
     shared, local = point.shared.copy(), point.local.copy()
     carrier = NOMINAL_FREQUENCY * exp(shared[SHARED.index("log_drive_frequency")])

@@ -25,7 +25,8 @@ DEPTH_SCATTERS = np.geomspace(2e-6, 1e-3, 24)
 """Relative scatters of the stated forces, and scatters in m of the stated depths, over which the
 results are averaged."""
 USUAL_FORCE, USUAL_DEPTH, WIDTH = 0.03, 5e-5, 1.0
-"""Prior medians of these scatters, and the prior standard deviation of their logarithms."""
+"""Prior medians of the scatters of the forces (relative) and of the depths (in m), and the prior
+standard deviation of the logarithms of both."""
 ECHO_DEPTH = 3e-5
 """Standard deviation in m of depths from an echo due to errors of the model, which the posterior of
 the depth leaves out."""

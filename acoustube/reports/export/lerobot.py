@@ -212,7 +212,7 @@ def _features(n: int) -> dict[str, Any]:
 def _write_meta(
     folder: Path, data: xr.Dataset, listed: list[dict[str, Any]], stats: _Stats, rate: int
 ) -> None:
-    """Write the metadata of the frames."""
+    """Write the metadata of the dataset: its description, episodes, tasks and statistics."""
     meta = folder / "meta"
     info = {
         "codebase_version": CODEBASE,

@@ -44,7 +44,8 @@ def _draw_closure(axes: Axes, found: FittedSensor, i: int, legend: bool) -> None
         turns = np.exp(2j * np.pi * np.outer(time - band.start, band.frequency))
         axes.plot(MS * time, (turns @ spectrum).real, style, color=colour, lw=0.7, label=label)
     axes.set_title(
-        f"closed at {CM * place:.1f} cm, {PERCENT * twin.explained[i]:.2f} % explained", fontsize=9
+        f"closed at {CM * place:.1f} cm, {PERCENT * twin.explained[i]:.2f} % of energy explained",
+        fontsize=9,
     )
     axes.set_xlabel("time (ms)")
     axes.set_ylabel("counts, in the band")

@@ -285,7 +285,7 @@ def _group(
 
 
 def _missing(states: Sequence[State]) -> dict[str, str]:
-    """Return the reasons why pictures are missing."""
+    """Return, by the name of each picture, the text that is shown if it is missing."""
     return {
         "shape": "This sweep was written before files held the deformed walls. Sweep into a new "
         "folder to see them.",

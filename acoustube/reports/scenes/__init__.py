@@ -1,1 +1,1 @@
-"""Scenes in 3-D by PyVista."""
+"""Scenes in 3-D by PyVista: `tube` and `sleeve`, rendered by `offscreen`."""

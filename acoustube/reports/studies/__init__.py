@@ -6,4 +6,8 @@ Localization and Force Sensing".
 A study is a function ``study(scale, work, report)`` that returns a
 :class:`~acoustube.reports.studies.report.Study`. It uses sweeps, datasets, processing and
 estimators as anyone would. ``acoustube reproduce`` runs them; see :mod:`acoustube.cli.reproduce`.
+
+Reading order: `report` (what a study returns), `presses`, `ranged` and `inverted` (common parts);
+`calibration`, `simulation` (`simulation_cases`, `simulation_figures`), `flat` (`flat_figures`,
+`whole_echo`), `mannequin` and `human` (`arm`, `human_figures`), `swipe` and `echotube`.
 """

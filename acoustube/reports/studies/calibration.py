@@ -28,8 +28,9 @@ CYCLES = 5
 UNTOUCHED = 400
 BAND = np.array([10e3, 90e3])
 FALSE_ALARMS = 0.01
-"""Largest fraction of untouched cycles with a false echo; the least prominence is raised to it. The
-sleeve paper tuned its factor by hand, to minimise false-positive detections."""
+"""Fraction of untouched cycles with a false echo that a calibration has to stay below: the
+threshold of prominence is that of the smallest of `FACTORS` with which it does. The sleeve paper
+chose its factor by hand, to minimise false-positive detections."""
 FACTORS = (2.8, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0)
 
 
@@ -46,10 +47,10 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:  # noqa: ARG001
     rows = [
         Row(quantity="fit of the amplitude (arctan): RMSE", unit="1", published=0.0254,
             ours=found.amplitude_rmse, why=clean),
-        Row(quantity="upper asymptote of the gain (tanh)", unit="1", published=0.635, ours=upper,
-            why=chosen),
-        Row(quantity="lower asymptote of the gain (tanh)", unit="1", published=0.104, ours=lower,
-            why=chosen),
+        Row(quantity="upper asymptote of the attenuation model (tanh)", unit="1", published=0.635,
+            ours=upper, why=chosen),
+        Row(quantity="lower asymptote of the attenuation model (tanh)", unit="1", published=0.104,
+            ours=lower, why=chosen),
         Row(quantity="slope of estimated over true distance", unit="m/m", published=0.99,
             ours=found.slope.value,
             why="The plane wave's group speed in the bore is a little below that in free air."),
@@ -70,10 +71,9 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:  # noqa: ARG001
         text=TEXT,
         rows=rows,
         figures={
-            "Amplitude of the closures' echoes against their distance, without gain, with the fit "
-            "and the gain made of it (left); estimated against true distance (right).": _figure(
-                found
-            )
+            "Left: amplitude of the echoes of closures over their distance, without gain, with the "
+            "arctan fit and the tanh from which the gain is derived. Right: estimated over true "
+            "distance.": _figure(found)
         },
     )
 
@@ -160,7 +160,7 @@ def _draw_fall(axes: Axes, found: Calibration, fine: NDArray[np.float64]) -> Non
     axes.plot(CM * found.true_distance, found.amplitude, ".", color=ENVELOPE, label="closures")
     axes.plot(CM * fine, found.fitted_amplitude(fine), color=RETURN, label="arctan fit")
     axes.plot(CM * fine, gain.c1 * np.tanh(gain.c2 * (fine - gain.c3)) + gain.c4, "--", color=SEND,
-              label="tanh, of which the gain is made")  # fmt: skip
+              label="tanh, from which the gain is derived")  # fmt: skip
     axes.set_xlabel("true distance (cm)")
     axes.set_ylabel("highest peak (fraction of the send pulse)")
     axes.set_ylim(bottom=0)

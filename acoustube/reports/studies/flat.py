@@ -1,4 +1,4 @@
-"""The flat table (section II-F, Figs. 4 and 5, Tables I and II): distance and force of presses."""
+"""Study of a tube pressed on a table (section II-F, Figs. 4 and 5, Tables I and II)."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ SECOND_PLACES, SECOND_FEW = "20:160:35", "40:110:70"
 SECOND_DEPTHS = [f"{depth:.4g}" for depth in np.linspace(0.4, 8.0, 60)]
 CYCLES, FEWER_CYCLES = 50, 5
 PLACE_STRIDE, DEPTH_STRIDE = 10, 3
-"""Strides of the inverted positions of the first dataset and inverted depths of the second."""
+"""Recordings at each 10th position of the first dataset, and each 3rd depth of the second, are
+analysed by waveform inversion."""
 NEAR, BEYOND = 0.60, 1.95
 """Limits in m of the ranges of the smallest reliable depth: up to the first, beyond the second. The
 sleeve paper states 7 mm beyond 1.95 m, and 2.5 mm without a distance; up to 0.6 m its amplitudes

@@ -282,7 +282,7 @@ def _force_rows(inversion: xr.Dataset) -> list[Row]:
     found = ranged.force_errors(inversion)
     return [
         Row(quantity=f"force: {words}", unit=unit, ours=float("nan"), inversion=value,
-            why="Not published. The library is of the same wall and tissue.")
+            why="Not published. The library is that of the wall and tissue that were pressed.")
         for words, unit, value in (
             ("median absolute error", "N", found.median),
             ("median relative error", "%", PERCENT * found.relative),

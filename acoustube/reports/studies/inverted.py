@@ -180,7 +180,7 @@ def errors_figure(
     places: Mapping[str, tuple[ArrayLike, ArrayLike]],
     forces: Mapping[str, tuple[ArrayLike, ArrayLike]],
 ) -> Figure:
-    """Draw the share of recordings with errors up to each value, of place and of force.
+    """Draw the cumulative distributions of the errors of place and of force.
 
     Parameters
     ----------
@@ -207,5 +207,5 @@ def errors_figure(
             axes.step(np.maximum(known, bounds[0]), share, where="post", color=colour, label=name)
         axes.set(xscale="log", xlim=bounds, ylim=(0, 100), xlabel=words)
         axes.legend(loc="upper left")
-    sheet.axes[0].set_ylabel("share of the recordings (%)")
+    sheet.axes[0].set_ylabel("recordings with a smaller error (%)")
     return sheet

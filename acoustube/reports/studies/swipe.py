@@ -33,8 +33,8 @@ FORCES = (4.3, 7.0)
 NEARER_FORCES, FARTHER_FORCES, GAPS = (4.3, 5.0, 5.7), (6.3, 7.0, 7.7), (0.2, 0.25, 0.3, 0.4)
 """Forces in N of nearer and of farther presses, and distances between them in m."""
 PAIR_TOLERANCE, PAIR_CYCLES = 0.10, 6
-"""Largest error in m of a located press of a pair, half the smallest distance between them, and
-number of cycles for which a pair is tracked."""
+"""Largest error in m with which a press of a pair counts as located (half of the smallest distance
+in `GAPS`), and number of cycles for which a pair is tracked."""
 CANDIDATE_RATIO = 0.06
 """Least height of a candidate echo, as a fraction of the highest: with 0.12 a press behind another
 is missed, with 0.03 a hard press has twice as many false echoes."""
@@ -172,8 +172,9 @@ def swipe_rows(tracks: tuple[Track, Track], resolved: NDArray[np.bool_]) -> list
         "Through the whole simulated sensor, on a straight tube; the sleeve paper shows no numbers."
     )
     of_two = (
-        "Behind a hard press the echo of another is as low as the sound that the first one traps; "
-        "where both overlap they are taken for one, or the farther is placed too far away."
+        "Behind a hard press, the echo of a second one is as weak as the sound trapped by the "
+        "first. Where these two overlap, one contact is found instead of two, or the farther one "
+        "is placed too far away."
     )
     return [
         Row(quantity="swipe of 5 cm/s: RMSE of the place", unit="cm",

@@ -1,6 +1,7 @@
 """User settings in practical units, validated before any computation, and converted to SI units.
 
-Read `settings`, then `checks`, `config`, `document`, and `si`, which converts them.
+Reading order: `ranges` (rules for several numbers), `settings`, `checks`, `config`, `document`;
+`si` and `tube_in_si` (conversion); `goal` (of a design).
 """
 
 from acoustube.runs.config.checks import CELLS_PER_WAVELENGTH, check_touched, grid_cells

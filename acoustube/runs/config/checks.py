@@ -91,7 +91,7 @@ def check_position(
     reach += CLEARANCE * tube.outer_diameter_mm / MM_PER_CM
     nearest = _round_up(waves.probe_cm + reach)
     farthest = _round_down(tube.length_cm - reach)
-    bends = f"the press bends the tube for {reach:.4g} cm to each side"
+    bends = f"the press takes {reach:.4g} cm of the tube on each side"
     if nearest > farthest:
         shortest = _round_up(nearest + reach)
         raise ConfigError(

@@ -197,7 +197,7 @@ class DesignGoal:
     Raises
     ------
     ConfigError
-        If they contradict each other.
+        If they contradict each other, or the search or a cycle is too long.
     """
 
     goal: Goal = dataclasses.field(default_factory=Goal)

@@ -35,7 +35,10 @@ class TubeSettings(Section):
     poisson_ratio: float = setting(0.49, Number(0.2, 0.499, "", "Poisson's ratio of the wall"))
     surface: str | None = setting(
         None,
-        File("closed surface of a wall in mm along z (STL, PLY, OBJ), in place of the round tube"),
+        File(
+            "closed surface of a wall along z, in mm (STL, PLY, OBJ, VTP), in place of the round "
+            "tube"
+        ),
     )
 
     def __post_init__(self) -> None:

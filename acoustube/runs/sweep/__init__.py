@@ -2,5 +2,6 @@
 
 Read `plan` and `plan_text` (cases), `graph` (those that share a press or its scattering), `tasks`
 and `case_results` (on workers), `runner`, `workers` and `run` (scheduling), `store` (files),
-`costs` and `progress` (expected times); then `cycles` and `dataset` (cycles of a rangefinder).
+`costs` and `progress` (expected times), `select` (cases of figures and pages); then `cycles` and
+`dataset` (cycles of a rangefinder).
 """

@@ -65,7 +65,7 @@ def simulate_cases(
 
 
 def placed(settings: SISettings, matrix: StoredScattering | None) -> list[PlacedScatterer]:
-    """Return the press of a case at its position, in its air; none for an untouched tube."""
+    """Return a list with the press of a case at its position, in its air; empty if untouched."""
     if matrix is None:
         return []
     return [PlacedScatterer(at_sound_speed(matrix, settings.air.sound_speed), settings.position)]

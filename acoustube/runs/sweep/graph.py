@@ -130,7 +130,7 @@ def only_cases(paths: Sequence[LoadPath], names: set[str]) -> list[LoadPath]:
 
 
 def shard(paths: Sequence[LoadPath], number: int, count: int) -> set[str]:
-    """Return the names of the cases of one of several equal parts of a sweep.
+    """Return the names of the cases of one of several parts, nearly equal in size, of a sweep.
 
     Each part consists of consecutive whole groups, so that few load paths are in two parts.
     """

@@ -86,7 +86,7 @@ def _range(name: str, word: str) -> list[float]:
         raise ConfigError(f"{name} = {word} is not a range; write first:last:step")
     first, last, step = (_number(name, word, part) for part in parts)
     if step <= 0 or last < first:
-        raise ConfigError(f"{name} = {word} has no values; use first < last and a step over 0")
+        raise ConfigError(f"{name} = {word} has no values; use first <= last and a step over 0")
     if (last - first) / step > MOST_CASES:
         raise ConfigError(f"{name} = {word} has over {MOST_CASES:.0e} values; use a larger step")
     # Whole numbers over a common denominator: as exact as fractions, and twenty times as fast.

@@ -94,7 +94,7 @@ def run_sweep(
     width : int, optional
         Tasks submitted to `executor` at a time; by default the number of its workers, if known.
     share : tuple of int
-        Number, from 1, of the part to compute, and count of equal parts of the plan.
+        Number, from 1, of the part to compute, and count of parts of nearly equal size.
     retry : bool
         Whether cases that failed before are tried again.
 

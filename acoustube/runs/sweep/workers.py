@@ -289,7 +289,7 @@ def _hand_over(
 
 
 def _again(task: Task, waiting: deque[Task], lost: Counter[Task]) -> None:
-    """Queue a task again that has lost its worker, up to ATTEMPTS times."""
+    """Queue a task again that has lost its worker; fail it after ATTEMPTS lost workers."""
     lost[task] += 1
     if lost[task] < ATTEMPTS:
         waiting.appendleft(task)

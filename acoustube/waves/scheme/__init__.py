@@ -2,8 +2,8 @@
 
 Reading order: `pulse`, `operator` (c^2 div grad on cut cells), `time_step` (stability limit), `pml`
 (absorbing layers), `relaxation_fit` and `losses` (at the wall and in the air), `problem` (ends,
-source and probes), `leapfrog`; `cpu_layout`, `cpu_kernel` and `cpu_leapfrog` are the second
-implementation, for CPUs.
+source and probes), `leapfrog`; `cpu_layout`, `cpu_kernel`, `cpu_leapfrog` and `cpu_ahead` are the
+second implementation, for CPUs.
 """
 
 from acoustube.base.moved import renamed

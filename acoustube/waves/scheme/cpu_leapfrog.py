@@ -346,7 +346,10 @@ def _twice(field: ArrayLike) -> Array:
 
 
 def _pressure(lossy: LossCoefficients, fields: Fields, now: int) -> Array:
-    """Return the pressure, which is advanced separately only where the air absorbs."""
+    """Return the pressure, (nx+2, ny+2, nz+4), at time level `now`, 0 or 1.
+
+    It is the argument of the Laplacian, `Fields.ahead`, except where the air absorbs.
+    """
     ahead = fields.ahead[now]
     if fields.pressure.size == 0:
         return ahead

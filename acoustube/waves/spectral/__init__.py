@@ -1,11 +1,11 @@
 """Scattering of a lumen in the frequency domain: polynomials in space, rational in frequency.
 
 Reading order: `polynomials`, `walls`, `lumens` and `sections` (functions, and the walls of lumens),
-`assembly` (stiffness and mass), `ports` and `ends` (modes of the ends), `elimination` (direct
-solution along the tube), `discretisation` (a basis and an enriched one), `reduction` (many
-frequencies at once), `boundary`, `layers` and `lossy` (losses), `motion`, `derivatives` and
-`lossy_derivatives`, and `partition`, `first_basis`, `adaptation`, `band` and `solver` (choice of
-the basis, and error estimate).
+`quadrature` and `assembly` (stiffness and mass), `ports` and `ends` (modes of the ends),
+`elimination` (direct solution along the tube), `discretisation` (a basis and an enriched one),
+`reduction` (many frequencies at once), `boundary`, `layers` and `lossy` (losses), `motion`,
+`derivatives` and `lossy_derivatives`, and `partition`, `first_basis`, `adaptation`, `truncation`,
+`band` and `solver` (choice of the basis, and error estimate of its `result`).
 """
 
 from acoustube.waves.spectral.lumens import wall_of

@@ -75,7 +75,7 @@ class Elements:
     stiffness, mass : ndarray
         (n_elements, size, size), in m and m3; see :class:`Layout`.
     first, last : ndarray
-        The boxes x0, a, y0, b at both ends in m, (4,).
+        Bounding box of the section at each end: centre and half width in x, then in y, in m, (4,).
     sections : Sections
         Gram matrices of the polynomials of the basis.
     """

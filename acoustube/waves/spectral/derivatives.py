@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from acoustube.base.errors import ConfigError
 from acoustube.waves.spectral.assembly import element_boxes
 from acoustube.waves.spectral.boundary import wall_functions, wall_matrices, wall_points
 from acoustube.waves.spectral.discretisation import Discretisation, far_matrices, far_modes
@@ -29,7 +30,6 @@ from acoustube.waves.spectral.motion import Motion
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex, PortModes, changed_scattering, port_modes
 from acoustube.waves.spectral.reduction import Reduced, projected, ritz
-from acoustube.waves.spectral.sound import ConfigError
 from acoustube.waves.spectral.walls import Wall
 
 LEAST_OVERLAP = 0.9

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
+from acoustube.base.errors import ConfigError
 from acoustube.waves.spectral.assembly import Boxes, section_matrices
 from acoustube.waves.spectral.polynomials import (
     Array,
@@ -26,7 +27,6 @@ from acoustube.waves.spectral.polynomials import (
     polynomials,
 )
 from acoustube.waves.spectral.ports import PortModes, port_functions, port_modes, wall_signs
-from acoustube.waves.spectral.sound import ConfigError
 from acoustube.waves.spectral.walls import Contours, Wall
 
 SECTION_DEGREE = 18

@@ -29,12 +29,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import ive
 
+from acoustube.air import Air
 from acoustube.waves.spectral.assembly import Boxes
 from acoustube.waves.spectral.boundary import WallPoints
 from acoustube.waves.spectral.ends import Rim, Section
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex, PortModes
-from acoustube.waves.spectral.sound import Air
 from acoustube.waves.spectral.walls import Contours
 
 NARROW_SECTION = 60.0
@@ -95,16 +95,16 @@ def filling(width: Array, roundness: Array, thickness: Complex) -> Complex:
 
 
 class Gaps(NamedTuple):
-    """Gaps next to a wall: greatest circles in its sections that touch it.
+    """Gaps at points of a wall: the largest inscribed circle that touches the wall there.
 
     Attributes
     ----------
     width, roundness : ndarray
-        Diameter h of the circles in m, and b, (n_sections, n_points).
+        Diameter h of the circles in m, and weight b of the round tube, (n_sections, n_points).
     measured : ndarray of bool
         Whether the widths of a section are measured point by point, (n_sections,).
     sealed : ndarray
-        Weight from 0, open, to 1, pressed together, (n_sections, n_points).
+        Weight from 0 (open) to 1 (pressed together), (n_sections, n_points).
     """
 
     width: Array
@@ -205,7 +205,7 @@ def _thickest(sampled: Array, air: Air) -> float:
 
 
 def _fillings(gaps: Gaps, sampled: Array, air: Air) -> Complex:
-    """Return f of the viscous and then of the thermal layers, (2 n_sampled, n_points)."""
+    """Return f of the viscous, then of the thermal layers, (2 n_sampled, n_sections n_points)."""
     width, roundness, share = gaps.width.ravel(), gaps.roundness.ravel(), gaps.sealed.ravel()
     layers = layer_thickness(sampled, air)
     both = np.stack([filling(width, roundness, d) for layer in layers for d in layer[:, None]])
@@ -219,7 +219,7 @@ def _fillings(gaps: Gaps, sampled: Array, air: Air) -> Complex:
 def _series(
     points: WallPoints, gaps: Gaps, values: Complex, sampled: Array, frequency: Array, air: Air
 ) -> LayerSeries:
-    """Return values (2 n_sampled, n_points) of f, or their derivatives, as sums of products."""
+    """Return f or its derivatives (2 n_sampled, n_sections n_points) as sums of products."""
     rows = np.concatenate([values.real, values.imag])
     number = points.rule.element
     of_element = np.repeat(number, gaps.width.shape[1])
@@ -292,7 +292,9 @@ def gap_widths(
 
 
 def _touching(here: Array, inwards: Array, there: Array, facing: Array) -> Array:
-    """Return diameters of the least circles that touch a contour at points and reach another point.
+    """Return diameters of the largest circles inside a contour that touch it at given points.
+
+    Each is the smallest of the circles that touch it there and pass through another point.
 
     Parameters
     ----------

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.ndimage import maximum_filter1d
 
+from acoustube.air import Air
 from acoustube.waves.spectral.assembly import Layout
 from acoustube.waves.spectral.boundary import (
     TangentialFunctions,
@@ -36,7 +37,6 @@ from acoustube.waves.spectral.reduction import (
     lossy_impedance,
     lossy_model,
 )
-from acoustube.waves.spectral.sound import Air
 from acoustube.waves.spectral.walls import Wall
 
 SAMPLES_PER_RESONANCE, SPARE_SAMPLES = 1.6, 8

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from acoustube.air import Air
 from acoustube.waves.spectral.boundary import tangential_matrices, wall_points
 from acoustube.waves.spectral.derivatives import NO_MODES, Changes, modes_like, reduced_changes
 from acoustube.waves.spectral.discretisation import Discretisation
@@ -32,7 +33,6 @@ from acoustube.waves.spectral.motion import Motion
 from acoustube.waves.spectral.polynomials import Array, Index
 from acoustube.waves.spectral.ports import Complex, changed_scattering
 from acoustube.waves.spectral.reduction import MAX_MATRICES, LossyBand, Reduced
-from acoustube.waves.spectral.sound import Air
 
 
 class WallChanges(NamedTuple):

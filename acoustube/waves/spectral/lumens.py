@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from acoustube.base.errors import ConfigError
 from acoustube.waves.spectral.polynomials import Array
-from acoustube.waves.spectral.sound import ConfigError
 from acoustube.waves.spectral.walls import Wall
 
 SAME = 1e-9

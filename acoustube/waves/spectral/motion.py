@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from acoustube.base.errors import ConfigError
 from acoustube.waves.spectral.polynomials import Array
-from acoustube.waves.spectral.sound import ConfigError
 from acoustube.waves.spectral.walls import Wall
 
 DISPLACEMENT = 1e-6

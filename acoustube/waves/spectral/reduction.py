@@ -232,7 +232,8 @@ def lossy_fields(model: LossyModel, band: LossyBand, blocks: int = 1) -> Complex
     Returns
     -------
     ndarray
-        (n_frequencies, blocks, r, n_ports n_modes).
+        Coefficients of the r lossless modes, (n_frequencies, blocks, r, n_ports n_modes). Each
+        block after the first is excited by the one before it.
     """
     found = np.empty((len(band.wavenumber), blocks, *model.ports.shape), complex)
     diagonal = np.diag_indices(len(model.square))

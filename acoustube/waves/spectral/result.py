@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from acoustube.waves.scattering import ModalScattering
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex
-from acoustube.waves.spectral.sound import ModalScattering
 
 ERROR_QUANTILE = 0.95
 """Fraction of the frequencies at which the error is to be within the tolerance."""

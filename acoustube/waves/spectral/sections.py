@@ -13,9 +13,9 @@ import trimesh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, depth_first_order
 
+from acoustube.base.errors import ConfigError
 from acoustube.base.units import MM
 from acoustube.waves.spectral.polynomials import Array
-from acoustube.waves.spectral.sound import ConfigError
 
 STEP = 0.06
 """Distance between sections, relative to the size of the end."""

@@ -31,6 +31,8 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 from threadpoolctl import threadpool_limits
 
+from acoustube.air import Air
+from acoustube.base.errors import ConfigError
 from acoustube.waves.spectral.adaptation import adapted, discretised, truncation_ratio
 from acoustube.waves.spectral.band import difference, swept
 from acoustube.waves.spectral.derivatives import (
@@ -52,7 +54,6 @@ from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex, axial_wavenumbers, of_both_ports
 from acoustube.waves.spectral.reduction import Reduced
 from acoustube.waves.spectral.result import ERROR_QUANTILE, SpectralScattering
-from acoustube.waves.spectral.sound import Air, ConfigError
 from acoustube.waves.spectral.walls import Wall
 
 ERROR_SAFETY, LOSSY_SAFETY = 2.0, 4.0
