@@ -41,19 +41,18 @@ CODE = {
     "scattering": ("acoustube.runs.sound", "acoustube.lumen", "acoustube.waves.scattering"),
 }
 """Modules that compute each kind of result; their code and that of their imports is in the key."""
-NOT_FOLLOWED = (
-    "acoustube.base.cache.",
-    "acoustube.base.checks.",
-    "acoustube.runs.config.",
-    "acoustube.base.errors.",
-    "acoustube.runs.results.",
-    "acoustube.base.rules.",
-    "acoustube.signals.",
-    "acoustube.waves.bends.",
-    "acoustube.waves.network.",
-)
-"""Prefixes of imported modules that do not affect results: they prepare settings, which are part of
-the key in SI units, or process results."""
+NOT_FOLLOWED = tuple(
+    f"acoustube.{name}."
+    for name in (
+        *(f"base.{part}" for part in (
+            "cache", "checks", "errors", "files", "foreign", "interrupts", "moved", "names",
+            "netcdf", "remnants", "report", "rules", "version", "writing")),
+        "runs.config", "runs.results", "runs.scattering_file", "signals", "waves.bends",
+        "waves.network",
+    )
+)  # fmt: skip
+"""Prefixes of modules whose code is not in the key: they prepare settings, which are in the key in
+SI units, read and write files, report, or process results."""
 SOURCES = "sources.json"
 """File of the cache with the digest of each module, so that computing a key takes milliseconds."""
 COMPILED = "compiled-"
@@ -64,8 +63,8 @@ UNUSABLE = (
     "Error reading persistent compilation cache entry",
     "Error writing persistent compilation cache entry",
 )
-"""JAX's warnings of a file that another process has half written, or of a disk that is full or
-cannot be written. JAX then compiles as it does without a cache."""
+"""Warnings of JAX about a file that another process has half written, or about a disk that is full
+or cannot be written. JAX then compiles as without a cache."""
 
 
 class Entry(NamedTuple):
@@ -86,7 +85,7 @@ class Entry(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Description; empty where it cannot be read."""
+        """Description of the result, from the file; empty where it cannot be read."""
         try:
             with zipfile.ZipFile(self.path) as archive:
                 return archive.comment.decode(errors="replace")
@@ -117,8 +116,13 @@ def key(kind: str, dependencies: Mapping[str, Any]) -> str:
     kind : {"press", "scattering"}
         Kind of result.
     dependencies : mapping
-        Everything that the result depends on, as values of JSON. The source code that computes
-        it is added here.
+        Everything that the result depends on, as values of JSON, but for the source code that
+        computes it, which is added here.
+
+    Returns
+    -------
+    str
+        32 hexadecimal digits.
     """
     text = json.dumps(dict(dependencies) | {"code": _code(kind)}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
@@ -126,7 +130,7 @@ def key(kind: str, dependencies: Mapping[str, Any]) -> str:
 
 @cache
 def _code(kind: str) -> str:
-    """Return the hash of the code that computes a kind of result."""
+    """Return the hash of the code that computes a kind of result, and the libraries' versions."""
     # Slow to import, and the command line's help needs neither.
     from importlib.metadata import version
 
@@ -177,7 +181,10 @@ def code_digest(root: Path, entries: Sequence[str]) -> str:
 
 
 def _known_sources() -> dict[str, list[Any]]:
-    """Return time, size, digest and imports of modules that were parsed before, by their path."""
+    """Return modules that were parsed before, by path.
+
+    Each is a list of its time of change in ns, size in bytes, digest and imports.
+    """
     try:
         known = json.loads((folder() / SOURCES).read_bytes())
         return {path: source for path, source in known.items() if len(source) == 4}
@@ -219,7 +226,7 @@ def _tree_digest(tree: ast.AST) -> str:
 
 
 def _is_text(node: ast.stmt) -> bool:
-    """Return whether a statement is a docstring, of a definition or below a constant."""
+    """Return whether a statement is only a text: the docstring of a definition or a constant."""
     return (
         isinstance(node, ast.Expr)
         and isinstance(node.value, ast.Constant)
@@ -228,12 +235,12 @@ def _is_text(node: ast.stmt) -> bool:
 
 
 def holds(name: str) -> bool:
-    """Return whether there is an entry, which may yet be damaged."""
+    """Return whether there is an entry for a key (:func:`key`); it may be damaged."""
     return (folder() / f"{name}.npz").is_file()
 
 
 def recall(name: str) -> dict[str, NDArray[Any]] | None:
-    """Return the arrays of an entry, or None without a valid one."""
+    """Return the arrays of the entry for a key by name; None if it is missing or damaged."""
     import numpy as np
 
     try:
@@ -257,7 +264,7 @@ def store(name: str, arrays: Arrays, label: str = "") -> None:
         From :func:`key`.
     arrays : mapping of str to array
     label : str
-        Description for a list.
+        Description, which :attr:`Entry.label` returns.
     """
     import numpy as np
 
@@ -270,13 +277,14 @@ def store(name: str, arrays: Arrays, label: str = "") -> None:
 
 
 _KEPT: set[bool] = set()
-"""Contains True if a result of this process was written to the cache, False if one could not be."""
+"""Contains True once a result was written to or read from the cache, False once one could not be
+written."""
 
 
 def has_kept() -> bool | None:
-    """Return whether all reusable results of this process were written to the cache.
+    """Return whether every result that this process tried to cache was written to the cache.
 
-    None if the process has computed no result of a kind that is cached.
+    None if the process has neither written a result to the cache nor read one from it.
     """
     return None if not _KEPT else False not in _KEPT
 
@@ -327,12 +335,14 @@ def _listed(paths: Iterable[Path]) -> list[Entry]:
 
 
 def clear() -> list[Entry]:
-    """Remove all entries and compiled code, and what an interrupted write left, but nothing else.
+    """Remove all entries, compiled code, module digests and files of interrupted writes.
+
+    Other files in the folder are kept.
 
     Returns
     -------
     list of Entry
-        What was removed, without the compiled code.
+        The removed results, without the compiled code.
     """
     gone = entries()
     paths = [entry.path for entry in [*gone, *compiled()]]
@@ -352,9 +362,10 @@ def compiled() -> list[Entry]:
 def keep_compiled_code() -> None:
     """Let JAX keep in the cache what it compiles, in this process and those that it starts.
 
-    It has to run before JAX is imported, and does nothing if the user has chosen a folder for JAX.
-    Code is kept separately for each kind of processor, since JAX would also load code compiled for
-    another, and log a line each time.
+    This must be called before JAX is imported. It does nothing if ``$JAX_COMPILATION_CACHE_DIR`` is
+    set. Each kind of processor has its own folder, since JAX would also load code compiled for
+    another processor, and log a line each time. In this folder only the newest `MOST_COMPILED`
+    files are kept.
     """
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return

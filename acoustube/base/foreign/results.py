@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 FAILURE = "cannot be read as a result"
 
 
-def check_result(path: str | Path, advice: str, failure: str = FAILURE) -> None:
+def check_result(path: str | Path, advice: str, failure: str = FAILURE) -> Seal:
     """Raise ConfigError if a result is damaged, or not a netCDF-4 file.
 
     Files with a seal (:mod:`acoustube.base.netcdf`) are hashed. Others, of earlier versions or of
@@ -29,6 +29,11 @@ def check_result(path: str | Path, advice: str, failure: str = FAILURE) -> None:
         What to do about a damaged file.
     failure : str
         What the message says of a file that cannot be read.
+
+    Returns
+    -------
+    Seal
+        INTACT or NONE.
     """
     limits.check_file(path, "result")
     with limits.reading(path, failure, advice):
@@ -37,10 +42,11 @@ def check_result(path: str | Path, advice: str, failure: str = FAILURE) -> None:
             raise ConfigError(f"{path} is damaged: its checksum is wrong; {advice}")
         if seal is Seal.NONE:
             child.read("survey", Path(path), "result")
+    return seal
 
 
 def open_result(path: str | Path, advice: str, failure: str = FAILURE) -> xr.Dataset:
-    """Return a result in memory, checked, or raise ConfigError; see :func:`check_result`."""
+    """Check a result file and read it into memory; raise ConfigError as :func:`check_result`."""
     import xarray as xr
 
     check_result(path, advice, failure)
@@ -50,12 +56,12 @@ def open_result(path: str | Path, advice: str, failure: str = FAILURE) -> xr.Dat
 
 
 def settings_in(text: Any, source: str | Path) -> dict[str, Any]:
-    """Return the settings that a result holds as JSON.
+    """Return the settings that a result holds as a text in JSON.
 
     Raises
     ------
     ConfigError
-        If they are not a table.
+        If the text is not valid JSON, is not a table, or exceeds a limit.
     """
     found = parsed(str(text), source)
     if not isinstance(found, dict):

@@ -37,8 +37,10 @@ RECIPE, CARD = "dataset.json", "README.md"
 DRIVES: dict[str, type[Any]] = {"Burst": Burst, "Chirp": Chirp, "Tones": Tones}
 """Types of drive by their names in files."""
 CYCLES_PER_FILE = 5000
-SECONDS_PER_CASE, SECONDS_PER_CYCLE, BYTES_PER_CYCLE = 0.05, 1e-3, 2500.0
+SECONDS_PER_CASE, SECONDS_PER_CYCLE, BYTES_PER_CYCLE = 0.08, 1e-3, 2500.0
 """Costs measured on one idle core, for the estimates."""
+SECONDS_TO_START = 3.0
+"""Time in which a worker process starts and imports the package."""
 RANGES = {
     "true_distance": ("place", 1e2, "cm"), "depth": ("depth", 1e3, "mm"),
     "force": ("force", 1.0, "N"), "diameter": ("indenter", 1e3, "mm"),
@@ -136,11 +138,12 @@ def run_dataset(
     todo = {name: cases for name, cases in parts.items() if name not in there}
     n_cycles, n_workers = n_cases * recipe.per_case, count_of(workers)
     seconds = (n_cases * SECONDS_PER_CASE + n_cycles * SECONDS_PER_CYCLE) / n_workers
+    remaining = seconds * len(todo) / len(parts) + SECONDS_TO_START * bool(todo)
     report.line(
         f"{counted(n_cases, 'case')}, {counted(recipe.per_case, 'cycle')} of each, {n_cycles} in "
         "all; "
         f"{len(there)} of {len(parts)} files are there; about "
-        f"{time_in_words(seconds * len(todo) / len(parts))} on "
+        f"{time_in_words(remaining)} on "
         f"{counted(n_workers, 'worker')}, {n_cycles * BYTES_PER_CYCLE / 1e6:.0f} MB"
     )
     if todo:
@@ -253,7 +256,8 @@ def _task(
 def _check_band(parts: Mapping[str, Sequence[tuple[str, Path]]], recipe: Recipe) -> None:
     """Reject a rangefinder whose band exceeds that of a press's scattering matrix."""
     first = {path: name for cases in parts.values() for name, path in cases}
-    for path, name in first.items():
+    alike = {store.sound_of(path): (path, name) for path, name in first.items()}
+    for path, name in alike.values():
         try:
             record_one(name, path, recipe)
         except ValueError as error:

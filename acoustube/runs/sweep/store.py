@@ -22,7 +22,7 @@ import xarray as xr
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.files import check_out, check_writable
 from acoustube.base.foreign.results import check_result
-from acoustube.base.netcdf import to_netcdf
+from acoustube.base.netcdf import Seal, to_netcdf
 from acoustube.base.remnants import ASIDE
 from acoustube.base.version import __version__
 from acoustube.base.writing import DiskFullError
@@ -112,21 +112,26 @@ def contents(folder: Path) -> Contents:
     foreign: list[Path] = []
     for path in sorted(folder.iterdir()):
         if SHARD.fullmatch(path.name):
-            data = intact(path)
-            damaged += [path] * (data is None)
-            names = () if data is None else data["press"].values
-            finished |= {str(name): path for name in names}
+            names = intact(path)
+            damaged += [path] * (names is None)
+            finished |= dict.fromkeys(names or [], path)
         elif not (path.name in (PLAN, FAILURES) or path.name.startswith(ASIDE)):
             foreign += [path] * (path.suffix != ".damaged")
     return Contents(finished, damaged, foreign)
 
 
-def intact(path: Path) -> xr.Dataset | None:
-    """Return the dataset of a file, or None if the file is damaged."""
+def intact(path: Path) -> list[str] | None:
+    """Return the names of the cases in a file, or None if the file is damaged."""
+    import h5py
+
     try:
-        check_result(path, "")
+        if check_result(path, "") is Seal.INTACT:
+            with h5py.File(path) as file:
+                return [str(name) for name in file["press"].asstr()[:]]
         data, matrix = read(path)
-        return data if data.attrs["content"] == _content(data, matrix, walls(path)) else None
+        if data.attrs["content"] != _content(data, matrix, walls(path)):
+            return None
+        return [str(name) for name in data["press"].values]
     except Exception:  # a damaged file raises many kinds of errors, all of the same meaning
         return None
 
@@ -140,6 +145,15 @@ def read(path: Path) -> tuple[xr.Dataset, xr.Dataset | None]:
         with xr.open_dataset(path, **OPENING, group=SCATTERING) as file:
             matrix = file.load()
     return data, matrix
+
+
+def sound_of(path: Path) -> tuple[bytes, ...]:
+    """Return bore, temperature, carrier and scattering's frequencies of a file, for comparison."""
+    import h5py
+
+    names = "inner_diameter", "temperature", "carrier_frequency", f"{SCATTERING}/frequency"
+    with h5py.File(path) as file:
+        return tuple(file[name][:].tobytes() for name in names if name in file)
 
 
 def walls(path: Path) -> xr.Dataset | None:
