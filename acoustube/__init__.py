@@ -1,6 +1,6 @@
 """Simulate a silicone tube that carries ultrasound and is pressed by a cylinder.
 
-Three layers, each of which imports only what stands below it::
+Three layers, from top to bottom. A module imports only from its own layer and those below it::
 
     cli, reports, sensor, runs             commands; figures and files; a sensor for simulations of
                                            robots; settings and computations

@@ -32,7 +32,7 @@ def entry() -> NoReturn:
                 code = _run()
             except KeyboardInterrupt:  # a second one, while the first was being handled
                 code = _interrupted(exit_code())
-            except SystemExit as error:  # its frames end here, where their errors are handled
+            except SystemExit as error:  # its frames are freed here, with their errors handled
                 code = error.code
     except KeyboardInterrupt:
         code = _interrupted(128 + signal.SIGINT)
@@ -70,7 +70,8 @@ def _run() -> int:
 def _keep_streams() -> None:
     """Open the standard streams that are closed, and let any character be written to them.
 
-    Otherwise the next file that is opened would get the number of a stream, and be written to.
+    Otherwise the next file that is opened would get the file descriptor of a closed stream, and
+    output to this stream would be written to that file.
     """
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:

@@ -29,14 +29,14 @@ STANDARD_PRESSURE = 101_325.0  # Pa
 ABSOLUTE_ZERO = -273.15  # degC
 REFERENCE_TEMPERATURE = 293.15  # K, of the absorption formulas
 TRIPLE_POINT = 273.16  # K
-HUMIDITY = 50.0  # per cent
+HUMIDITY = 50.0  # per cent, relative
 WATER_MASS = 18.0153 / 28.9647
 """Molar mass of water over that of dry air."""
 WATER_HEAT = 4.04
 """Molar heat capacity of water vapour at constant pressure over the gas constant."""
 TEMPERATURES = (-20.0, 60.0)  # degC, range in which the formulas are stated or were checked
 NARROW_GAP_LAYERS = 10
-"""Opening of a lumen, in viscous boundary layers, below which a warning is given."""
+"""Opening of a lumen, in viscous boundary layer thicknesses, below which a warning is given."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,13 +52,19 @@ class Air:
     viscosity : float
         Dynamic viscosity in Pa s.
     prandtl : float
-        Ratio of viscous to thermal diffusivity.
+        Prandtl number, the ratio of viscous to thermal diffusivity.
     heat_capacity_ratio : float
+        Ratio of the heat capacities at constant pressure and at constant volume.
     classical_absorption : float
         Attenuation in the bulk by viscosity, heat conduction and rotational relaxation, divided by
         the frequency squared, in Np s2/m.
     relaxations : tuple of Relaxation
-        Vibrational relaxations of oxygen and of nitrogen.
+        Vibrational relaxations of oxygen and of nitrogen; none by default.
+
+    Raises
+    ------
+    ConfigError
+        If a number is not finite or outside its range, such as a density that is not positive.
     """
 
     sound_speed: float
@@ -129,7 +135,7 @@ def sound_speed(temperature: float) -> float:
     Raises
     ------
     ValueError
-        If the temperature is not above absolute zero.
+        If the temperature is not above absolute zero, or is over 10 000 degC.
     """
     return sqrt(HEAT_CAPACITY_RATIO * SPECIFIC_GAS_CONSTANT * _absolute(temperature))
 
@@ -163,8 +169,9 @@ def air_at(
     Returns
     -------
     Air
-        Speed of sound and density p / (R T) of dry air (343.2 m/s and 1.204 kg/m3 at 20 degC),
-        viscosity and heat conductivity of dry air, absorption of moist air.
+        Speed of sound and density p / (R T) of dry air (343.2 m/s and 1.204 kg/m3 at 20 degC) or,
+        with `moist`, of moist air; viscosity and Prandtl number of dry air; absorption of moist
+        air.
 
     Raises
     ------
@@ -245,7 +252,7 @@ def _relaxations(kelvin: float, humidity: float, pressure: float) -> tuple[Relax
 
 @checked(air=Air, frequency=FREQUENCY)
 def viscous_thickness(air: Air, frequency: float) -> float:
-    """Return the thickness in m of the viscous boundary layer, sqrt(2 nu / omega)."""
+    """Return the viscous boundary layer's thickness sqrt(2 nu / omega) in m; frequency in Hz."""
     return sqrt(air.viscous_diffusivity / (pi * frequency))
 
 

@@ -17,13 +17,18 @@ def shear_modulus_from_shore(shore_a: float) -> float:
 
     Parameters
     ----------
-    shore_a : float
-        Hardness on the Shore A scale, or an array of such.
+    shore_a : float or array_like
+        Hardness on the Shore A scale, 0 to 100.
 
     Returns
     -------
-    float
-        Shear modulus in Pa.
+    float or ndarray
+        Shear modulus in Pa, of the shape of `shore_a`.
+
+    Raises
+    ------
+    ConfigError
+        If a hardness is outside 0 to 100.
 
     Notes
     -----
@@ -49,6 +54,16 @@ def shore_from_shear_modulus(shear_modulus: float) -> float:
     ----------
     shear_modulus : float
         In Pa.
+
+    Returns
+    -------
+    float
+        Hardness; not limited to the scale's range of 0 to 100.
+
+    Raises
+    ------
+    ConfigError
+        If the modulus is outside 1e-3 to 1e15 Pa.
 
     See Also
     --------

@@ -60,6 +60,8 @@ def test_modes_are_complete_and_sorted():
 def test_cut_on_of_21_lies_in_the_carrier_band():
     """(2,1) cuts on 0.6 % above 42 kHz in this bore: commands must warn of this case."""
     critical = cut_ons_in_band(Pulse(frequency=42e3).band(), RADIUS, 343.2)
+    broad = cut_ons_in_band((0.0, 48e3), RADIUS, 343.2)  # that of a pulse of one or two cycles
+    assert broad == modes_below(48e3, RADIUS, 343.2)[1:]
     assert [(mode.m, mode.n) for mode in critical] == [(2, 1)]
     assert critical[0].cut_on == pytest.approx(42.24e3, rel=1e-3)
 

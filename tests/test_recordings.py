@@ -391,6 +391,18 @@ def test_tables_as_people_write_them_are_understood(tmp_path, what):
     assert not data.attrs["warnings"]
 
 
+@pytest.mark.parametrize("head", ["", "signal\n"])
+def test_one_column_is_one_record_with_and_without_a_name(tmp_path, head):
+    """As an oscilloscope writes it; `samples` divides it into cycles."""
+    counts = np.random.default_rng(0).integers(0, 4000, 1200)
+    path = tmp_path / "one.csv"
+    path.write_text(head + "\n".join(map(str, counts)) + "\n")
+    given = {"rate": 2e5, "temperature": 20.0}
+    assert np.array_equal(read(path, **given)["signal"].values, counts[None])
+    divided = read(path, **given, samples=400)["signal"].values
+    assert np.array_equal(divided, counts.reshape(3, 400))
+
+
 def test_more_rows_than_columns_are_noted_and_turned_by_samples(tmp_path):
     signal = np.random.default_rng(1).integers(0, 99, (12, 5))
     np.savetxt(tmp_path / "a.csv", signal, fmt="%d", delimiter=",")

@@ -65,6 +65,14 @@ def test_surface_scatters_as_its_formula(turned):
     np.testing.assert_allclose(plane(found), plane(exact), atol=2e-3)
 
 
+def test_faceted_lumen_is_that_of_its_pinch_and_equal_from_both_ends():
+    """Facets of the straight parts do not count as changes of section, nor those of the halves."""
+    half = CASES["A"][1]
+    found = wall_of(rings_of_surface(pinched("A"), 20e-3))
+    assert found.reversible
+    assert np.array(found.breaks) == pytest.approx([-half, half], abs=0.4e-3)
+
+
 def test_modes_of_any_section_are_those_of_a_round_bore_where_it_is_round():
     """Lumen A with numerical modes of its ends, with losses."""
     exact = scatter_spectral(wall("A"), AIR, FREQUENCY, symmetric_only=True)
@@ -98,6 +106,15 @@ def test_pinched_d_bore_scatters_as_the_march():
     assert found.modes == marched.modes
     np.testing.assert_allclose(plane(found), plane(marched), atol=4e-3)
     assert np.abs(plane(found)[0]).max() > 0.1
+
+
+def test_bore_that_is_not_round_and_too_wide_is_refused():
+    """The polynomials of an end's modes are of degree 18; 30 mm at 42 kHz need more."""
+    wide = d_bore()
+    wide.apply_scale(4.0)
+    lumen = wall_of(rings_of_surface(wide, 64e-3))
+    with pytest.raises(ConfigError, match=r"8.17 mm.* not round and as wide as 29.2 mm; lower the"):
+        scatter_spectral(lumen, AIR, np.array([40e3, 42e3]))
 
 
 def test_section_of_two_parts_is_refused():

@@ -1,4 +1,4 @@
-"""Compilation in the background, while the calling thread prepares the calls of the code."""
+"""Compilation in a background thread, while the calling thread prepares the first calls."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from threading import Thread
 
 
 def compile_ahead(compilations: Iterable[Callable[[], None]]) -> Thread:
-    """Start compilations in a thread of their own, one after the other in the order of need.
+    """Start compilations in a thread of their own, one after the other in the order given.
 
-    A call of code that is being compiled waits for it, since numba compiles one function at a time.
+    A call of a function that is being compiled waits for the compilation, since numba compiles one
+    function at a time.
 
     Parameters
     ----------
     compilations : iterable of callable
         Each calls functions with arguments of the types of later calls. Exceptions are
-        dropped: what fails here fails, and is reported, where the code is needed.
+        dropped: what fails here fails again, and is reported, where the code is needed.
 
     Returns
     -------

@@ -31,7 +31,7 @@ class Reals:
     unit : str
         Unit of the values and of the bounds.
     ndim : int, optional
-        Number of axes.
+        Number of axes; any if None.
     axes : int
         Smallest number of axes.
     last : int, optional
@@ -39,7 +39,8 @@ class Reals:
     missing : bool
         Whether nan and inf are allowed, as missing values.
     empty : bool
-        Whether an empty array is allowed; one with rows of length zero is always allowed.
+        Whether an empty array is allowed. One of two or more axes that has no rows, but rows of
+        nonzero length, such as of shape (0, 3), is always allowed.
     kinds : str
         Allowed values of ``dtype.kind``: ``iu`` for integers, ``U`` for strings.
     """
@@ -79,7 +80,8 @@ class Reals:
         if self.missing:
             array = array[np.isfinite(array)]
         if array.dtype.kind == "U":
-            return  # written below so that nan fails too
+            return
+        # Written so that nan fails too.
         if array.size and not (float(array.min()) >= self.low and float(array.max()) <= self.high):
             raise self._error(name, value, "is out of range or not finite")
 
@@ -103,14 +105,14 @@ def _in_words(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Complex:
-    """Rule for a finite complex number, or an array of them.
+    """Rule for a finite complex number, or a NumPy array of finite complex numbers.
 
     Parameters
     ----------
     least, most : float
         Smallest and largest magnitude.
     axes : int, optional
-        Largest number of dimensions.
+        Largest number of axes; any if None.
     """
 
     least: float
@@ -210,9 +212,10 @@ class Several:
 
 
 def check_argument(name: str, value: Any, rule: Any) -> Any:
-    """Return an argument that obeys a rule, a number as int or float; else raise ConfigError.
+    """Return an argument if it obeys a rule, else raise ConfigError.
 
-    A class as a rule stands for its instances.
+    A class as a rule stands for its instances. Under a rule for a number, a number of NumPy is
+    returned as a plain float or int; if only whole numbers are allowed, any number as an int.
     """
     if isinstance(rule, type):
         rule = Instance((rule,))
@@ -231,8 +234,9 @@ def checked(**rules: Any) -> Callable[[Callable[P, T]], Callable[P, T]]:
     Parameters
     ----------
     **rules
-        By the names of the arguments: a :class:`~acoustube.base.rules.Number`, :class:`Reals`, a
-        class. An argument that is left out, or is its default, is not checked.
+        Rule for each argument, by its name: a class, or an object with a method
+        ``check(name, value)``, such as :class:`~acoustube.base.rules.Number` or :class:`Reals`. An
+        argument that is left out, or is its default, is not checked.
     """
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
@@ -257,6 +261,8 @@ def checked(**rules: Any) -> Callable[[Callable[P, T]], Callable[P, T]]:
 
 def check_fields(instance: Any, **rules: Any) -> None:
     """Raise ConfigError unless the fields of a dataclass obey rules; defaults are not checked.
+
+    Fields with a rule are set to what :func:`check_argument` returns, also if the class is frozen.
 
     Parameters
     ----------

@@ -8,9 +8,9 @@ QUICK = {"--xla_cpu_use_fusion_emitters": "false", "--xla_backend_optimization_l
 """Options of XLA for CPUs, with which it compiles faster: fused loops without its fusion emitters,
 and machine code with fewer of LLVM's optimisations."""
 KNOWN = "0.10."
-"""Start of the versions of jaxlib in which they were measured. XLA aborts on unknown ones."""
+"""Prefix of the versions of jaxlib for which `QUICK` is used. XLA aborts on unknown options."""
 FOR_GPUS = "jax_cuda12_plugin", "jax_cuda13_plugin", "jax_rocm7_plugin"
-"""Modules that come with JAX for GPUs, whose code the second option would affect as well."""
+"""Modules that come with JAX for GPUs, whose code the second option of `QUICK` would affect."""
 
 
 def compile_quickly() -> None:
@@ -18,8 +18,8 @@ def compile_quickly() -> None:
 
     With jaxlib 0.10.2 this halves the compile time. Presses, cycles of a sensor and epochs of a
     network take as long as without; time stepping (FDTD) in JAX, which on a CPU serves derivatives
-    only, takes 3 to 9 % longer. Does nothing for other versions of jaxlib or where JAX is installed
-    for GPUs, and keeps options that the user has set.
+    only, takes 3 to 9 % longer. Options that the user has set are kept. Nothing is done for
+    versions of jaxlib other than `KNOWN`, or where JAX is installed for GPUs.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     new = [f"{name}={value}" for name, value in QUICK.items() if name not in flags]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 REPORT_INTERVAL, LONGEST_INTERVAL = 10.0, 60.0
-"""Seconds between two lines of progress without a terminal: at first, and in work of hours."""
+"""Seconds between two lines of progress without a terminal: at first, and after 10 min."""
 
 
 def plain_console(*, quiet: bool = False, stderr: bool = False) -> Console:
@@ -64,7 +64,7 @@ def note(console: Console, text: str) -> None:
 def _labelled(console: Console, colour: str, label: str, text: str) -> None:
     from rich.text import Text
 
-    one_line = readable(text.replace("\n", "\\n"), LONGEST_SENTENCE)  # in the name of a file
+    one_line = readable(text.replace("\n", "\\n"), LONGEST_SENTENCE)  # from file names
     console.print(Text.assemble((f"{label}:", colour), " ", one_line), soft_wrap=True)
 
 

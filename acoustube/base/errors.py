@@ -20,7 +20,7 @@ class ConfigError(ValueError):
     Parameters
     ----------
     reason : str
-        The sentence; where a setting is named, what is wrong with its value.
+        The sentence; if `setting` is given, only what follows "setting = value" in it.
     setting : str, optional
         Name of the argument or setting, with its unit: ``depth_mm``.
     value : optional
@@ -65,7 +65,7 @@ class SimulationError(RuntimeError):
 
 
 def about(path: object, error: Exception) -> str:
-    """Return the text of an error in one line that names a file."""
+    """Return the message of an error as one line, preceded by `path` unless it contains that."""
     text = " ".join(str(error).split())
     return text if str(path) in text else f"{path}: {text}"
 

@@ -36,7 +36,8 @@ def check_out(path: str | Path) -> Path:
     Raises
     ------
     ConfigError
-        If something is there already, or nothing can be written there.
+        If the path is that of a file, a folder that is not empty, the current folder or a mount
+        point, or if nothing can be written there.
     """
     try:
         folder = Path(path).expanduser().resolve()
@@ -69,7 +70,7 @@ def check_netcdf_name(path: Path) -> None:
 
 
 def check_new_file(path: Path, name: str = "out") -> None:
-    """Raise ConfigError if a file exists, or its folder does not.
+    """Raise ConfigError if a file exists, or its folder does not exist or cannot be written.
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ def check_new_file(path: Path, name: str = "out") -> None:
 
 
 def check_writable(folder: Path) -> None:
-    """Raise OSError if nothing can be made in a folder."""
+    """Raise OSError if no file can be created in a folder."""
     with contextlib.suppress(AttributeError, NotImplementedError, IsADirectoryError):
         # A file without a name leaves no trace, whenever this process is ended.
         try:
@@ -116,7 +117,7 @@ def fresh_folder(stem: str) -> Path:
 
 
 def _check_free(path: str | Path, folder: Path) -> None:
-    """Raise if a name is taken."""
+    """Raise ConfigError if a folder is taken or cannot be replaced; the message names `path`."""
     if folder.exists() or folder.is_symlink():
         if not folder.is_dir():
             raise ConfigError(f"out = {path} is a file; name a new folder")
@@ -124,7 +125,7 @@ def _check_free(path: str | Path, folder: Path) -> None:
             raise ConfigError(
                 f"out = {path} is not empty and nothing is overwritten; name a new folder"
             )
-        # The finished run is renamed to its final name, which cannot replace these two.
+        # The finished run is renamed to this name, which cannot replace either of these folders.
         if os.path.ismount(folder) or folder == Path.cwd():
             raise ConfigError(
                 f"out = {path} is the current folder or a mount point, which cannot be replaced; "
@@ -134,25 +135,26 @@ def _check_free(path: str | Path, folder: Path) -> None:
 
 @contextlib.contextmanager
 def partial_folder(path: str | Path) -> Iterator[Path]:
-    """Make a temporary folder next to the one to be written, and remove it in the end.
+    """Make a temporary folder for an output folder, and remove it in the end.
 
     Parameters
     ----------
     path : str or path
-        The folder to be made in the end, by :func:`publish`; see :func:`check_out`.
+        The output folder, to which :func:`publish` renames the temporary folder; see
+        :func:`check_out`.
 
     Yields
     ------
     Path
-        A temporary folder next to it. If it is still there when the block ends, by an exception,
-        an interrupt included, it is removed with the parents that were made for it.
+        Temporary folder next to `path`. If it is still there when the block ends, as after an
+        exception or an interrupt, it is removed with the parents that were made for it.
 
     Raises
     ------
     ConfigError
         If the folder is taken or cannot be made.
     DiskFullError
-        If the disk is full.
+        If the block raises it; the message then names the final path and all bytes needed.
     """
     folder = check_out(path)
     made = list(itertools.takewhile(lambda parent: not parent.exists(), folder.parents))
@@ -190,6 +192,11 @@ def publish(partial: Path, path: str | Path) -> Path:
     Path
         The actual name: if another run has taken `path` in the meantime, a number is added, so
         that nothing is overwritten and nothing lost.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be renamed for another reason.
     """
     interrupts.check()
     folder = Path(path).absolute()
@@ -214,7 +221,7 @@ def publish(partial: Path, path: str | Path) -> Path:
 def toml_array(values: Iterable[Any]) -> Array:
     """Return the TOML array of some values.
 
-    It is parsed from text, since appending with tomlkit takes a time that grows with the length.
+    The array is parsed from text, since each append of tomlkit takes longer than the one before.
 
     Parameters
     ----------

@@ -33,8 +33,9 @@ SHOW_CURSOR = b"\x1b[?25h"
 class _Interrupt:
     """Signal handler that raises KeyboardInterrupt, but not while a module is being imported.
 
-    In an extension that is being loaded an interrupt becomes an ImportError, or is lost. In the
-    hook of this module, which raises lost interrupts again, it would be reported and lost.
+    While an extension module is being loaded, an interrupt becomes an ImportError or is lost. In
+    the hook of `_raising_again`, an interrupt would only be reported. In both cases the handler
+    therefore calls itself again after `RETRY` seconds.
 
     Attributes
     ----------
@@ -55,12 +56,12 @@ class _Interrupt:
         raise KeyboardInterrupt
 
     def again(self) -> None:
-        """Raise the interrupt a little later, repeatedly until the import has ended."""
+        """Schedule another call of this handler in `RETRY` seconds, by an alarm signal."""
         signal.signal(signal.SIGALRM, self)
         signal.setitimer(signal.ITIMER_REAL, RETRY)
 
     def check(self) -> None:
-        """Raise an interrupt that was lost, or that still waits for the end of an import."""
+        """Raise KeyboardInterrupt if one was lost, or still waits for the end of an import."""
         if self.number:
             signal.setitimer(signal.ITIMER_REAL, 0)
             raise KeyboardInterrupt
@@ -82,13 +83,14 @@ def watched_interrupts(
 ) -> Iterator[Callable[[], None]]:
     """Delay interrupts until the end of an import, and raise lost ones again.
 
-    Python ignores an exception in a hook of its garbage collection, of which JAX has one, in a
-    destructor, and in a function that a library such as VTK calls.
+    Python ignores an exception, such as an interrupt, in a destructor, in a hook of the garbage
+    collector (JAX has one) and in a function that a library such as VTK calls.
 
     Parameters
     ----------
     before : callable
-        The signals that have this handler are watched; it is restored in the end.
+        Signal handler. Signals that have this handler are watched, and get it back in the end;
+        signals with other handlers are not watched.
 
     Yields
     ------
@@ -119,7 +121,7 @@ def watched_interrupts(
 
 
 def _raising_again(handler: _Interrupt, before: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return a hook that raises an ignored interrupt again, and leaves other errors to `before`.
+    """Return a `sys.unraisablehook` that raises interrupts again; `before` gets other errors.
 
     Errors after an interrupt are not reported: they are its consequences, for example in the
     destructor of a half-made object.
@@ -137,7 +139,7 @@ def _raising_again(handler: _Interrupt, before: Callable[[Any], Any]) -> Callabl
 
 
 def check() -> None:
-    """Raise again an interrupt that was lost, before a step that must not follow one."""
+    """Raise KeyboardInterrupt if one was lost; called before steps that must not follow one."""
     handler = signal.getsignal(signal.SIGINT)
     in_main = threading.current_thread() is threading.main_thread()
     if in_main and isinstance(handler, _Interrupt):
@@ -145,22 +147,23 @@ def check() -> None:
 
 
 def exit_code() -> int:
-    """Return the exit code of an interrupted command: 128 and the number of the signal."""
+    """Return the exit code of an interrupted command: 128 plus the number of the signal."""
     handlers = (signal.getsignal(number) for number in REQUESTS)
     found = next((h.number for h in handlers if isinstance(h, _Interrupt)), 0)
     return 128 + (found or signal.SIGINT)
 
 
 def end_in_time(clean: Callable[[], None]) -> None:
-    """Let a thread end this process if an interrupt has not ended it in time.
+    """Start a thread that ends this process if an interrupt has not ended it in time.
 
-    Python's own handler in C notifies the thread of a signal even if the main thread cannot stop:
-    a library may block that for minutes, or may have caught the exception.
+    The time is `GRACE` after one interrupt, `IMPATIENCE` after a second. Python's own handler in C
+    notifies the thread of a signal even if the main thread cannot stop: a library may block the
+    main thread for minutes, or may have caught the exception.
 
     Parameters
     ----------
     clean : callable
-        Called before the end.
+        Called by the thread just before it ends the process.
     """
     receiver, sender = socket.socketpair()
     sender.setblocking(False)

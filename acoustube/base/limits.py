@@ -3,31 +3,31 @@
 CLEARANCE = 0.5
 """Smallest distance, in outer diameters, between a press's deformed part and a probe or tube end.
 
-Pressing moves the modelled end outwards by up to a tenth of a millimetre, and leaves it oval.
+A press moves the ends of the modelled part outwards by up to 0.1 mm, and leaves them oval.
 """
 
 LARGEST_CLOSING = 0.9
-"""Largest depth of a press, in bores, with valid acoustics; slightly deeper, the walls meet."""
+"""Largest depth of a press with valid acoustics, over the bore; slightly deeper, the walls meet."""
 
 SHALLOWEST_MM = 0.05
 """Smallest depth of a press, in mm."""
 
 
 def pressed_reach(outer_diameter: float, indenter_diameter: float) -> float:
-    """Return the length of tube that a press deforms, to each side.
+    """Return the length of tube that a press deforms on each side of its middle.
 
-    It extends four outer diameters beyond the indenter's edge. At its end the default tube, held
+    The length extends four outer diameters beyond the indenter's edge. There the default tube, held
     and pressed 4 mm deep by a 25 mm rod, is oval by 0.1 mm, but its area is unchanged to 0.1 %.
     Modelling 1.5 times this length changes the force by 0.2 %.
 
     Parameters
     ----------
     outer_diameter, indenter_diameter : float
-        In the same unit, which is that of the result.
+        Diameters of the tube and of the indenter, in one unit.
 
     Returns
     -------
     float
-        Distance from the middle of the press.
+        Distance from the middle of the press, in the unit of the diameters.
     """
     return 4 * outer_diameter + indenter_diameter / 2

@@ -74,7 +74,8 @@ def renamed(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
     module : str
         Name of the module.
     names : mapping of str to str
-        The present name for each former name, with its module if that is a different one.
+        Present name for each former name; with the full name of its module in front if that is not
+        `module`.
     """
 
     def forward(name: str) -> Any:

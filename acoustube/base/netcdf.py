@@ -1,7 +1,8 @@
-"""NetCDF variables and files, and the checksum (seal) that reveals damage before opening.
+"""NetCDF variables and files, and the seal of a file: a checksum that reveals damage.
 
-The seal is the SHA-256 of all bytes before it, at the end of the file, where HDF5 does not read:
-its library does not detect all damage, and one changed byte may silently change any value.
+The HDF5 library does not detect all damage: one changed byte may silently change any value. The
+seal is at the end of the file, where HDF5 does not read: `MARK` and the SHA-256 of all bytes before
+`MARK`.
 """
 
 from __future__ import annotations
@@ -24,13 +25,14 @@ BLOCK = 1 << 20
 
 
 class Seal(Enum):
-    """Result of a file's checksum test; earlier versions and other programs write none."""
+    """Result of testing a file's seal; files of earlier versions and other programs have NONE."""
 
     INTACT = "intact"
     BROKEN = "broken"
     NONE = "none"
 
 
+# Names of the dimensions, values and attributes, as xarray takes a variable.
 Variable = tuple[tuple[str, ...], Any, dict[str, Any]]
 
 
@@ -40,7 +42,7 @@ def variable(dims: str, values: Any, units: str, long_name: str) -> Variable:
 
 
 def flag(dims: str, values: Any, long_name: str) -> Variable:
-    """Return a Boolean variable as netCDF stores it; `dims` are names separated by spaces."""
+    """Return a Boolean variable as 8-bit integers 0 and 1; `dims` are separated by spaces."""
     attributes = {"long_name": long_name, "flag_values": [0, 1], "flag_meanings": "no yes"}
     return tuple(dims.split()), np.asarray(values, np.int8), {"units": "1"} | attributes
 
@@ -63,9 +65,9 @@ def seal_of(path: str | Path) -> Seal:
 
 
 def to_netcdf(data: xr.Dataset | xr.DataTree, encoding: Any = None) -> bytes:
-    """Return a dataset, or a tree of them, as a sealed netCDF-4 file.
+    """Return the content of a sealed netCDF-4 file with a dataset or a tree of datasets.
 
-    It is made in memory, since HDF5 itself does not survive a full disk.
+    The file is made in memory, since HDF5 itself does not survive a full disk.
 
     Parameters
     ----------
@@ -82,7 +84,9 @@ def to_netcdf(data: xr.Dataset | xr.DataTree, encoding: Any = None) -> bytes:
 
 
 def write_dataset(dataset: xr.Dataset, path: Path, *, overwrite: bool = False) -> None:
-    """Write a dataset as a compressed netCDF-4 file, atomically.
+    """Write a dataset as a sealed netCDF-4 file, atomically; large variables are compressed.
+
+    Errors are those of :func:`acoustube.base.writing.write`.
 
     Parameters
     ----------

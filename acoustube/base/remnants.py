@@ -33,7 +33,7 @@ class Remnant(NamedTuple):
     size : int
         In bytes.
     record : Path
-        File of the register.
+        File of the register that lists this output.
     """
 
     path: Path
@@ -42,7 +42,9 @@ class Remnant(NamedTuple):
 
 
 def register(path: Path) -> Path | None:
-    """Register an output that is begun; return the file to delete when the output is complete.
+    """Register an output that is begun; return the record, to be deleted when it is complete.
+
+    None is returned where the record cannot be written.
 
     Parameters
     ----------
@@ -94,7 +96,10 @@ def remove(path: Path) -> None:
 
 
 def _abandoned(record: Path) -> Path | None:
-    """Return the output of a record, if it exists and the process that wrote it has ended."""
+    """Return the output of a record if it exists and its process has ended, else None.
+
+    A record of a process that has ended is deleted if its output does not exist.
+    """
     try:
         words, _, name = record.read_bytes().partition(b"\n")
         process, machine = words.decode().split(" ", 1)
@@ -108,7 +113,7 @@ def _abandoned(record: Path) -> Path | None:
     if gone and not os.path.lexists(path):  # it was completed, or not yet made
         record.unlink(missing_ok=True)
         return None
-    # Nothing else is deleted, whatever a damaged record says.
+    # Nothing but an incomplete output may be deleted, whatever a damaged record says.
     return path if gone and path.name == f".{record.name}" and path.name.startswith(ASIDE) else None
 
 

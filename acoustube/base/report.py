@@ -12,7 +12,7 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol
 
 WINDOW = 8
-"""Number of changes of a fraction from which the time left is extrapolated."""
+"""Number of latest changes of the finished fraction from which the time left is extrapolated."""
 
 
 class ShowProgress(Protocol):
@@ -55,12 +55,12 @@ class Reporter(Protocol):
         """Receive a table of names and values."""
 
     def progress(self, check: Callable[[], None] = ...) -> AbstractContextManager[ShowProgress]:
-        """Return a context with a function that receives progress.
+        """Return a context manager that yields a function to report progress to.
 
         Parameters
         ----------
         check : callable
-            Called with each report, to raise an interrupt that was lost.
+            Called at each report of progress, to raise an interrupt that was lost.
         """
 
 
@@ -78,7 +78,7 @@ class Silent:
     def progress(
         self, check: Callable[[], None] = lambda: None
     ) -> AbstractContextManager[ShowProgress]:
-        """Return a context with a function that calls `check` alone."""
+        """Return a context manager that yields a function which only calls `check`."""
 
         def show(*_progress: object, **_words: object) -> None:
             check()
@@ -96,14 +96,19 @@ def ignore(*_progress: object) -> None:
 def part_of(
     progress: Callable[[float], None] | None, start: float, end: float
 ) -> Callable[[float], None] | None:
-    """Return the progress function of a part of the work, between two fractions of the whole.
+    """Return the progress function of a part of the work.
 
     Parameters
     ----------
     progress : callable or None
         Called with the finished fraction of the whole.
     start, end : float
-        Fractions of the whole.
+        Finished fraction of the whole at the start and at the end of the part.
+
+    Returns
+    -------
+    callable or None
+        To be called with the finished fraction of the part; None if `progress` is None.
     """
     if progress is None:
         return None

@@ -1,4 +1,4 @@
-"""Rules that a setting carries, and the check that every section of settings shares."""
+"""Validation rules of settings, and the base class of sections, which checks their settings."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class File:
         Raises
         ------
         ConfigError
-            If it is not a name; whether there is such a file is found out when it is read.
+            If it is not a str, or empty, or not in UTF-8. Whether the file exists is not checked.
         """
         if not (isinstance(value, str) and value.strip()):
             raise ConfigError(
@@ -151,12 +151,15 @@ def _is_number(value: Any) -> bool:
 
 
 def setting(default: Any, rule: Number | Choice | File) -> Any:
-    """Return a dataclass field that carries its rule."""
+    """Return a dataclass field with a default value, and a rule in its metadata."""
     return dataclasses.field(default=default, metadata={"rule": rule})
 
 
 class Section:
-    """A group of settings that checks each of its fields when it is made."""
+    """Base class of dataclasses of settings; checks each field by its rule when an object is made.
+
+    None is allowed where it is the default. Numbers are stored as int or float.
+    """
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):  # type: ignore[arg-type]
@@ -168,7 +171,7 @@ class Section:
 
 
 def nearest(name: str, known: Any) -> str:
-    """Return advice that names the nearest known word, or all known words if none is near."""
+    """Return the end of a message: the nearest known word, or all known words if none is near."""
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     if near:
         return f"; did you mean {near[0]}?"

@@ -1,8 +1,8 @@
 """Small symmetric positive definite systems in JAX, without LAPACK.
 
 The batched LAPACK routines of jaxlib 0.10 wait in XLA's thread pool for tasks of the same pool: two
-that run at once on two cores deadlock. Written out, systems of a few unknowns are a small part of
-the compiled expressions around them.
+that run at once on two cores deadlock. For a few unknowns, the factorisation written out element by
+element is a small part of the compiled expressions around it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ def solve(matrix: jax.Array, right: jax.Array) -> jax.Array:
     matrix : ndarray
         (..., n, n) with a small n; the lower triangle is read.
     right : ndarray
-        Columns (..., n, m), with as many axes; the leading ones broadcast.
+        (..., n, m), one right-hand side in each column. Leading axes broadcast with `matrix`.
 
     Returns
     -------

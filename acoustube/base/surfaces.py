@@ -27,7 +27,7 @@ def load(path: Path) -> trimesh.Trimesh:
     Raises
     ------
     ConfigError
-        If there are none, they are too far from the origin, or the file cannot be read.
+        If the file cannot be read or has no triangles, or they are too far from the origin.
     """
     check_surface(path)
     check_file(path, "surface")
@@ -55,7 +55,7 @@ def load(path: Path) -> trimesh.Trimesh:
 
 
 def check_closed(surface: trimesh.Trimesh, path: Path) -> None:
-    """Reject a surface that is open, not manifold, not oriented, or of several bodies."""
+    """Raise ConfigError if a surface is open, not manifold, not oriented, or of several bodies."""
     _, count = np.unique(surface.edges_sorted, axis=0, return_counts=True)
     lone, shared = np.sum(count == 1), np.sum(count > 2)
     if lone:
@@ -86,7 +86,8 @@ def check_millimetres(surface: trimesh.Trimesh, path: Path) -> None:
 
 
 def check_crossings(surface: trimesh.Trimesh, path: Path) -> None:
-    """Reject a self-intersecting surface; the library expects lengths of about one."""
+    """Raise ConfigError if a surface intersects itself."""
+    # Scaled, since ipctk expects lengths of about one.
     vertices = np.asfortranarray(surface.vertices / surface.extents.min())
     faces = surface.faces.astype(np.int32)
     if ipctk.has_intersections(ipctk.CollisionMesh(vertices, ipctk.edges(faces), faces), vertices):
@@ -94,7 +95,7 @@ def check_crossings(surface: trimesh.Trimesh, path: Path) -> None:
 
 
 def components(surface: trimesh.Trimesh) -> NDArray[np.int64]:
-    """Return the number of the connected part that each facet belongs to."""
+    """Return the number of the connected part of each facet, of shape (facet,)."""
     return trimesh.graph.connected_component_labels(
         surface.face_adjacency, node_count=len(surface.faces)
     )
@@ -118,8 +119,8 @@ def read_lumen(path: str | Path) -> tuple[trimesh.Trimesh, float]:
     Raises
     ------
     ConfigError
-        If it cannot be read, is open, inside out or self-intersecting, does not lie along z between
-        flat ends, or seems to be given in metres.
+        If the surface cannot be read, is open, inside out or self-intersecting, has several bodies
+        or a hole through it, is not along z between flat ends, or seems to be in metres.
     """
     path = Path(path)
     surface = load(path)

@@ -21,3 +21,4 @@ Mask = NDArray[np.bool_]
 
 
 Progress = Callable[[float], None]
+"""Called with the finished fraction of the work, 0 to 1."""

@@ -1,4 +1,4 @@
-"""Atomic writing of files: complete, flushed to the disk, and never over an existing file."""
+"""Atomic writing of files: complete, flushed to the disk, over an existing file only on request."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FULL = {
     errno.EDQUOT: "the disk quota is used up",
     errno.EFBIG: "a file may not be that large here",
 }
-"""System error numbers (errno) of a full disk, a quota or a file size limit, and descriptions."""
+"""Descriptions of a full disk, a quota and a file size limit, by system error number (errno)."""
 
 
 class DiskFullError(SimulationError):
@@ -52,30 +52,31 @@ def write(path: str | Path, content: bytes | str, *, overwrite: bool = False) ->
     Parameters
     ----------
     path : str or path
-        The file. In a folder of :func:`partial_folder`, which is temporary itself, it is written
-        directly.
+        The file. In a temporary folder of :func:`acoustube.base.files.partial_folder` the file is
+        written under its final name at once, and never replaces another.
     content : bytes or str
         All of it; text is written in UTF-8.
     overwrite : bool
-        Whether a file of this name is replaced.
+        Whether an existing file of this name is replaced.
 
     Raises
     ------
     DiskFullError
         If the disk is full.
     SimulationError
-        If the name has been taken by another program; the file then has a number in its name.
+        If the name is taken and `overwrite` is false; the content is then in a file of this name
+        with a number.
     ConfigError
-        If it cannot be written for another reason.
+        If the file cannot be written for another reason.
     """
     write_all({path: content}, overwrite=overwrite)
 
 
 def write_all(contents: Mapping[Any, bytes | str], *, overwrite: bool = False) -> None:
-    """Write files atomically, all or none; see :func:`write`."""
+    """Write files, given their contents by path, atomically, all or none; see :func:`write`."""
     encoded = {
         Path(path): text.encode("utf-8", "backslashreplace") if isinstance(text, str) else text
-        for path, text in contents.items()  # which may hold the name of a file, not in UTF-8
+        for path, text in contents.items()  # a text may hold a file name not in UTF-8
     }
     needed, names = sum(map(len, encoded.values())), {}
     with contextlib.ExitStack() as stack:
@@ -102,7 +103,7 @@ def write_all(contents: Mapping[Any, bytes | str], *, overwrite: bool = False) -
 
 @contextlib.contextmanager
 def _naming_file(path: Path, needed: int) -> Iterator[None]:
-    """Convert an error of the system to one that names the file and the bytes needed."""
+    """Convert an OSError to an error that names the file and, on a full disk, the bytes needed."""
     try:
         yield
     except OSError as error:
@@ -114,7 +115,7 @@ def _naming_file(path: Path, needed: int) -> Iterator[None]:
 
 
 def begin(path: Path, head: bytes) -> io.FileIO:
-    """Create a file that grows, atomically with its head, and open it to append.
+    """Create a file with its first content, atomically, and open the file for appending.
 
     Parameters
     ----------
@@ -126,14 +127,15 @@ def begin(path: Path, head: bytes) -> io.FileIO:
     Returns
     -------
     io.FileIO
-        Unbuffered.
+        The open file, unbuffered.
 
     Raises
     ------
     DiskFullError
         If the disk is full.
     OSError
-        If the name is taken, or cannot be written for another reason; then nothing is left.
+        If the name is taken, or the file cannot be written for another reason. An incomplete file
+        is not left behind.
     """
     try:
         with aside(path) as hidden:
@@ -147,7 +149,7 @@ def begin(path: Path, head: bytes) -> io.FileIO:
 
 
 def _to_disk(path: Path, content: bytes) -> None:
-    """Write a new file; if that fails, leave none."""
+    """Write a new file and flush it to the disk; remove the file if that fails."""
     with path.open("xb") as file:
         try:
             file.write(content)
@@ -169,7 +171,7 @@ def to_disk(folder: Path) -> None:
 
 
 def _named(hidden: Path, path: Path) -> Path:
-    """Give a complete file its name, or one with a number if that is taken; return it."""
+    """Rename a complete file to `path`, with a number if that is taken; return the new name."""
     others = (path.with_name(f"{path.stem}-{n}{path.suffix}") for n in itertools.count(2))
     for name in itertools.chain([path], others):
         with contextlib.suppress(FileExistsError):
@@ -195,12 +197,15 @@ def _link(hidden: Path, name: Path) -> None:
 
 
 _begun: dict[Path, Path | None] = {}
-"""Outputs that this process is making, and their records in the register."""
+"""Temporary paths of the outputs that this process is making, and their records in the register.
+
+A record is a file of :mod:`acoustube.base.remnants`; None where it could not be written.
+"""
 
 
 @contextlib.contextmanager
 def aside(path: Path) -> Iterator[Path]:
-    """Yield a temporary name next to a path, which is removed in the end."""
+    """Yield a temporary name in the folder of `path`; what has that name in the end is removed."""
     hidden = path.absolute().with_name(f"{ASIDE}{uuid.uuid4().hex[:8]}")
     try:
         _begun[hidden] = remnants.register(hidden)

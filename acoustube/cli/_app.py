@@ -93,7 +93,7 @@ def main(tokens: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def _limits_of_one_command() -> Iterator[None]:
-    """Restore the limits of files, which ``--limits`` sets for worker processes too."""
+    """Restore the limits of files at the end; ``--limits`` sets them in the environment."""
     before = os.environ.get(VARIABLE)
     try:
         yield
@@ -104,7 +104,7 @@ def _limits_of_one_command() -> Iterator[None]:
 
 
 def _in_one_sentence(error: CycloptsError) -> str:
-    """Return the error of the command line, and the advice, in one sentence."""
+    """Return the message of an error of usage, with advice, as one sentence."""
     command = " ".join(["acoustube", *(error.command_chain or ())])
     if isinstance(error, UnusedCliTokensError):
         surplus = error.unused_tokens or ()
@@ -128,12 +128,12 @@ def _in_one_sentence(error: CycloptsError) -> str:
 
 
 def _advice_on_setting(option: str, command: str) -> str:
-    """Return the advice for a setting that has no option of its own.
+    """Return the advice on an unknown option that is the name of a setting.
 
     Raises
     ------
     ConfigError
-        If it is not a setting, or the command takes none.
+        If the option is not a setting, or the command takes no settings.
     """
     from acoustube.cli._options import SETTINGS
     from acoustube.runs.config import section_of
@@ -149,7 +149,7 @@ def _advice_on_setting(option: str, command: str) -> str:
 
 
 def _kept() -> str:
-    """Return the advice for a full disk, and whether the results were cached."""
+    """Return the advice for a full disk, which says whether results were cached."""
     again, kept = "make room and repeat the command", cache.has_kept()
     if kept is None:
         return again

@@ -33,6 +33,7 @@ SETTINGS = {
 }  # fmt: skip
 """Settings by the names of their options."""
 PICTURES = (".png", ".pdf", ".svg")
+"""Endings of the names of pictures."""
 
 
 def whole(kind: Any, tokens: Sequence[Any]) -> int | float:  # noqa: ARG001
@@ -66,23 +67,25 @@ def whole(kind: Any, tokens: Sequence[Any]) -> int | float:  # noqa: ARG001
 
 
 WHOLE = Parameter(converter=whole)
+"""Annotation of an option that takes a whole number."""
 FLAG = Parameter(show_default=False)
+"""Annotation of an option without a value."""
 
 
 def setting(name: str) -> Parameter:
-    """Return an option whose help is its setting's meaning, default and range."""
+    """Return an option whose help is the meaning, default and range of a setting."""
     converter = whole if is_whole(SETTINGS[name]) else None
     return Parameter(help=describe(SETTINGS[name]), show_default=False, converter=converter)
 
 
 def axis(name: str) -> Parameter:
-    """Return an option of several values, whose help is its setting's meaning."""
+    """Return an option of several values with the help of :func:`setting`, for sweeps."""
     words = describe(SETTINGS[name], DEFAULTS["waves"].get(SETTINGS[name]))
     return Parameter(help=words, show_default=False, consume_multiple=True)
 
 
 def settings_of(*groups: Any) -> dict[str, Any]:
-    """Return the settings, by name, that groups of options give; None where not given."""
+    """Return the values of settings, by name, that groups of options give; None if not given."""
     return {
         SETTINGS[field.name]: getattr(group, field.name)
         for group in groups
@@ -152,7 +155,7 @@ class Output(Limits):
         return plain_console(quiet=self.quiet, stderr=stderr)
 
     def reporter(self, *, stderr: bool = False) -> ConsoleReporter:
-        """Return the reporter that prints on that console."""
+        """Return the reporter that prints on :meth:`console`."""
         return ConsoleReporter(self.console(stderr=stderr))
 
 

@@ -99,7 +99,7 @@ def calibrate(
 
 
 def _free_path(out: Path | None, name: str | None) -> Path:
-    """Return the file of the calibration, which is given by its path or its name."""
+    """Return the file of a calibration from its path or its name; raise if there is such a file."""
     from acoustube.runs.recordings import calibration_folder
 
     if out is not None and name is None:
@@ -114,7 +114,7 @@ def _free_path(out: Path | None, name: str | None) -> Path:
 
 
 def _check_alike(closed: xr.Dataset, free: xr.Dataset, blocked: Path, named: str) -> None:
-    """Check that closures have labels, and all cycles the same sampling rate and length."""
+    """Raise unless closures have labels, and all cycles the same sampling rate and length."""
     if "true_distance" not in closed:
         raise ConfigError(
             f"the blocked cycles of {blocked} have no label true_distance; give it in the file "
@@ -132,7 +132,7 @@ def _check_alike(closed: xr.Dataset, free: xr.Dataset, blocked: Path, named: str
 
 
 def _together(paths: Sequence[Path], options: Recording, lead: Lead, how: Processing) -> xr.Dataset:
-    """Return the cycles of several recordings as one."""
+    """Return the cycles of several recordings as one dataset."""
     import xarray as xr
 
     from acoustube.runs.recordings import read_recordings

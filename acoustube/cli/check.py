@@ -41,13 +41,16 @@ PURPOSES = {
 }
 """Purposes of the optional extras."""
 FOR_OTHERS = ("test", "docs")
+"""Extras that are not reported."""
 DRAWING = """\
 import pyvista
 plotter = pyvista.Plotter(off_screen=True, window_size=[64, 64])
 plotter.add_mesh(pyvista.Sphere())
 assert plotter.screenshot(return_img=True).std() > 1
 """
+"""Program in Python that fails unless VTK can draw off screen."""
 DRAWING_SECONDS = 120.0
+"""Time limit of `DRAWING` in s."""
 HELP_WITH_CACHE = (
     "it cannot be written, so that nothing is cached: set ACOUSTUBE_CACHE to a folder that can"
 )
@@ -179,7 +182,7 @@ def _version(package: str) -> str:
 
 
 def _memory() -> float | None:
-    """Return the machine's memory in GB, if the system states it."""
+    """Return the machine's memory in GB; None if the system does not state it."""
     try:
         return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9, 2)
     except (AttributeError, OSError, ValueError):
@@ -187,7 +190,7 @@ def _memory() -> float | None:
 
 
 def _free_memory() -> float | None:
-    """Return the memory in GB that can be had without swapping, if the system states it."""
+    """Return the memory in GB available without swapping; None if the system does not state it."""
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
         kilobytes = next(line.split()[1] for line in lines if line.startswith("MemAvailable:"))
@@ -237,7 +240,7 @@ def _tested(console: Console) -> list[Outcome]:
 
 
 def _row(outcome: Outcome) -> str:
-    """Return a test in one line."""
+    """Return the outcome of a test as one line of text."""
     state = "passed" if outcome.passed else "FAILED"
     unit = "" if outcome.unit == "1" else f" {outcome.unit}"
     expected = f"{outcome.expected:.5g}{unit} within {outcome.tolerance:.2g}"

@@ -20,6 +20,7 @@ OF_ESTIMATORS = {
     "echo": {"network", "ensemble", "intervals"},
     "boosting": {"intervals"},
 }
+"""Topics of the methods of each estimator."""
 
 
 def cite(
@@ -118,7 +119,7 @@ def _of_sweep(result: Path) -> set[str]:
 
 
 def _of_text(text: Any, source: Path) -> set[str]:
-    """Return the topics of a run's methods from its settings as JSON; None without settings."""
+    """Return the topics of a run's methods from its settings as JSON; raise if it has none."""
     from acoustube.base.foreign.results import settings_in
 
     with reading(source, "holds no settings of acoustube", "name what a command of it wrote"):

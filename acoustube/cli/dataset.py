@@ -55,10 +55,11 @@ def dataset(
     sweep : Path
         Folders that ``acoustube sweep`` wrote.
     rangefinder : list
-        TOML file with the parameters of the rangefinder, or of a twin, whose measured clutter the
-        first specimen has; by default the sleeve paper's rangefinder at the carrier of each case.
-        With files of several twins, fitted to sessions of one sensor, the parameters of each
-        session are random, with the mean and the spread of the twins.
+        TOML file with the parameters of the rangefinder, or file of a twin; by default the sleeve
+        paper's rangefinder at the carrier of each case. With a twin, the first specimen has the
+        clutter measured on the sensor. With files of several twins, fitted to sessions of one
+        sensor, the parameters of each session are random, with the mean and the spread of the
+        twins.
     out : Path
         Folder to write, or to resume.
     """

@@ -30,6 +30,7 @@ COLUMNS = (
     "target", "unit", "by", "from", "to", "cycles", "estimated", "median", "rmse", "iqr",
     "median_relative_percent", "bias", "within_68_percent", "within_90_percent",
 )  # fmt: skip
+"""Columns of the table of errors."""
 
 
 @Parameter(name="*")
@@ -126,7 +127,7 @@ def _evaluate_library(
     figure: Path | None,
     report: ConsoleReporter,
 ) -> None:
-    """Evaluate the inversion by a library."""
+    """Evaluate the inversion with the library in a folder, on labelled cycles."""
     import numpy as np
 
     from acoustube.estimation.model import TARGETS

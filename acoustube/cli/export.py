@@ -75,7 +75,7 @@ def export(
 
 
 def _opened(where: Path) -> xr.Dataset:
-    """Open a result of any kind."""
+    """Open a result of any kind; raise if there is none."""
     from acoustube.base.foreign.results import open_result
     from acoustube.runs.opening import PATTERNS, open_dataset
 
@@ -104,7 +104,7 @@ def _kind(data: xr.Dataset, where: Path) -> str:
 
 
 def _write(data: xr.Dataset, where: Path, wanted: str, folder: Path) -> str:
-    """Write a result in one format; return the files in words."""
+    """Write a result in a format to a folder; return a description of the files."""
     if wanted == "csv":
         from acoustube.reports.export.tables import write_tables
 

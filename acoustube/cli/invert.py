@@ -163,7 +163,20 @@ def invert(
 
 @dataclass
 class _Files:
-    """The picture and the table of limits of detection, as far as they are requested."""
+    """The picture and the table of limits of detection, as far as they are requested.
+
+    Attributes
+    ----------
+    library : Library
+    figure, limits : Path or None
+        Files of picture and table; None if not requested.
+    rows : list of list
+        Rows of the table.
+    shown : EndsContacts or None
+        Group of cycles to draw.
+    pending, candidate
+        As `rows` and `shown`, of a recording that is not complete.
+    """
 
     library: Library
     figure: Path | None
@@ -174,7 +187,7 @@ class _Files:
     candidate: EndsContacts | None = None
 
     def add(self, path: Path, group: int, found: EndsContacts) -> None:
-        """Add the results of a group of cycles, pending until its file is complete."""
+        """Add the results of a group of cycles, pending until its recording is complete."""
         from acoustube.runs.two_ends import limit_rows
 
         if self.limits is not None:
@@ -182,17 +195,17 @@ class _Files:
         self.candidate = _preferred(self.candidate, found)
 
     def keep(self) -> None:
-        """Keep the pending results of the groups of a file."""
+        """Keep the pending results of the groups of a recording."""
         self.rows += self.pending
         self.shown = _preferred(self.shown, self.candidate)
         self.drop()
 
     def drop(self) -> None:
-        """Discard the pending results of a file."""
+        """Discard the pending results of a recording."""
         self.pending, self.candidate = [], None
 
     def contents(self) -> dict[Path, bytes | str]:
-        """Return the contents of the files."""
+        """Return the contents of the requested files."""
         from acoustube.runs.two_ends import LIMIT_COLUMNS
 
         found: dict[Path, bytes | str] = {}
@@ -206,7 +219,7 @@ class _Files:
 
 
 def _preferred(known: EndsContacts | None, new: EndsContacts | None) -> EndsContacts | None:
-    """Return the first group with a contact, or the first."""
+    """Return the group to draw: the first with a contact, else the first of all."""
     if known is None or (new is not None and new.contacts and not known.contacts):
         return new
     return known
@@ -221,7 +234,7 @@ def _check(
 
 
 def _drawn(found: EndsContacts, library: Library, figure: Path) -> bytes:
-    """Return a picture of the posterior along the tube."""
+    """Return a picture of echoes, posterior and limit of detection along the tube."""
     from acoustube.reports.figures.posterior import posterior_figure
     from acoustube.reports.figures.run import picture
 

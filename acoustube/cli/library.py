@@ -63,7 +63,7 @@ class Accuracy(Checked):
 
     @property
     def in_hertz(self) -> tuple[float, float] | None:
-        """The band in Hz."""
+        """The band in Hz; None if not given."""
         return None if self.band is None else (self.band[0] / KHZ, self.band[1] / KHZ)
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 REFRESH = 0.1
 """Refresh interval of the panel in a terminal, in s."""
 BARS, FLOOR_DB, TRACE = " ▁▂▃▄▅▆▇█", -40.0, 60
-"""Characters of the trace, the level in dB of the lowest, and its width."""
+"""Trace of an envelope: characters from low to high, level of the lowest in dB, and width."""
 
 
 @Parameter(name="*")
@@ -212,7 +212,7 @@ def _shown(console: Console, port: str) -> Iterator[Show]:
 
 
 def _contact_lines(tally: Tally, *, in_place: bool) -> list[str]:
-    """Return lines on the contacts, with the tube in a panel."""
+    """Return lines on the contacts; in a panel, also a line that shows them on the tube."""
     if tally.learning:
         return ["recording the untouched tube; do not touch it"]
     if tally.found is None:
@@ -224,14 +224,14 @@ def _contact_lines(tally: Tally, *, in_place: bool) -> list[str]:
 
 
 def _found(ranging: signals.Ranging) -> str:
-    """Return the estimate of a cycle in words."""
+    """Return distance and amplitude of a cycle's highest echo in words."""
     if not ranging.detected:
         return "no echo"
     return f"{CM * float(ranging.distance):.1f} cm, amplitude {float(ranging.amplitude):.3f}"
 
 
 def trace(envelope: Any, width: int = TRACE) -> str:
-    """Return an envelope of shape (time,) as a row of bars over 40 dB below the send pulse."""
+    """Return an envelope, (time,), as a row of bars, lowest at 40 dB below the send pulse."""
     import numpy as np
 
     starts = np.linspace(0, envelope.size, width, endpoint=False).astype(int)

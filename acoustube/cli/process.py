@@ -123,7 +123,7 @@ def _note_recording(
 def _drawn(
     data: xr.Dataset, settings: Processing, first: int, ranging: signals.Ranging, figure: Path
 ) -> bytes:
-    """Return a picture of a batch that begins at `first`, and of its first cycle with an echo."""
+    """Return a picture of some cycles, the first of number `first`, and of one with an echo."""
     import numpy as np
     from matplotlib.figure import Figure
 

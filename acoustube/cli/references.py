@@ -53,7 +53,7 @@ class Reference(NamedTuple):
     author, title : str
         Authors in the order of the publication, joined by "and"; either may be empty.
     fields : dict of str
-        Further BibTeX fields.
+        Further BibTeX fields by name.
     """
 
     key: str
@@ -87,7 +87,7 @@ class Reference(NamedTuple):
 
 
 def _read() -> list[Reference]:
-    """Return the entries of ``references.bib``, each field of which is a line."""
+    """Return the entries of ``references.bib``, where each field is one line."""
     text = files("acoustube.cli").joinpath("references.bib").read_text(encoding="utf-8")
     found = []
     for kind, key, entry in re.findall(r"@(\w+)\{(\w+),\n(.*?)\n\}", text, re.DOTALL):
@@ -98,7 +98,7 @@ def _read() -> list[Reference]:
 
 
 REFERENCES = _read()
-"""All of them, in the order of :data:`TOPICS`."""
+"""All references, in the order of :data:`TOPICS`."""
 
 
 def references(topics: Iterable[str] | None = None) -> list[Reference]:

@@ -27,10 +27,12 @@ STUDIES = {
 }  # fmt: skip
 """Studies in their order, and minutes that each takes on two cores with an empty cache."""
 SPEED_UP = 12.0
-"""Ratio of the times of a full and of a quick study."""
+"""Computing time of a full study over that of a quick one."""
 MARK, WORK = "reproduce.json", "work"
+"""Names of the file that marks the folder of a report, and of the folder of its computations."""
 
 Perform = Callable[["Scale", Path, Reporter], "Study"]
+"""Function that performs a study, given the folder of its computations."""
 
 
 def reproduce(
@@ -67,14 +69,15 @@ def reproduce(
 
 
 def run_reproduce(names: Sequence[str], out: Path, scale: Scale, report: ConsoleReporter) -> Path:
-    """Run studies and write a page and a table for each, and for all.
+    """Run studies; write a page and a table for each, and an index and a table of all.
 
-    The folder is new, or one that this command began: finished studies are kept. It is returned.
+    The folder `out` is new, or one that this command began, whose finished studies are kept. Its
+    path is returned.
 
     Raises
     ------
     ConfigError
-        If the folder holds something else.
+        If the folder holds something else, or another version or ``--quick`` began it.
     SimulationError
         If a study cannot be finished.
     """
@@ -99,7 +102,7 @@ def run_reproduce(names: Sequence[str], out: Path, scale: Scale, report: Console
 
 
 def _performed(name: str, folder: Path, scale: Scale, report: Reporter) -> Study:
-    """Run a study and write its report."""
+    """Run a study and write its page and table."""
     from acoustube.reports.studies.report import write
 
     work, pages = folder / WORK / name, folder / name

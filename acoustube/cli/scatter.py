@@ -51,12 +51,12 @@ class Band:
     step: float = 0.1
 
     def n_steps(self) -> int:
-        """Return the number of steps.
+        """Return the number of frequency steps in the band.
 
         Raises
         ------
         ConfigError
-            If the band does not increase, is given in Hz, or is not a multiple of the step.
+            If the band does not increase, seems to be in Hz, or is not 1 to 5000 whole steps wide.
         """
         (low, high), step = self.band, self.step
         if high > HIGHEST_KHZ:
@@ -76,7 +76,7 @@ class Band:
         return round(count)
 
     def frequencies(self) -> Any:
-        """Return the frequencies in Hz."""
+        """Return the frequencies in Hz, (n,), both ends of the band included."""
         import numpy as np
 
         from acoustube.runs.config.si import KILO
@@ -249,7 +249,7 @@ def _name(surface: Any, start: float, task: _Task) -> str:
 
 
 def _cut_on_notes(found: ModalScattering) -> list[str]:
-    """Return a sentence on the modes that cut on inside the band, if any do."""
+    """Return a sentence on the modes that cut on inside the band; an empty list if none does."""
     low, high = found.frequency[[0, -1]]
     inside = [
         f"{name} at {KHZ * cut_on:.2f} kHz"
@@ -321,7 +321,7 @@ def _print(found: StoredScattering, notes: list[str], report: ConsoleReporter) -
 
 
 def _quality(found: StoredScattering) -> tuple[str, str]:
-    """Return a line on the discretisation, and one on its accuracy."""
+    """Return a line on the discretisation, and one on the accuracy of the coefficients."""
     import numpy as np
 
     from acoustube.waves.spectral import SpectralScattering

@@ -28,6 +28,7 @@ FOREARM = (
     ("first girth of the forearm", Number(8, 150, "cm", "near the sensors")),
     ("second girth of the forearm", Number(8, 150, "cm", "at the other end")),
 )
+"""Sizes of a forearm: name and allowed range of each."""
 
 
 @Parameter(name="*")
@@ -202,7 +203,7 @@ def _run(
 def _tubes_on_forearm(
     arm: Arm, winding: SimpleNamespace, reach: float
 ) -> tuple[list[Helix], list[str], Any]:
-    """Return the tubes on a cone, its sizes in words, and no markers, (0, 3)."""
+    """Return the tubes on a conical arm, its sizes in words, and no markers, (0, 3)."""
     import numpy as np
 
     from acoustube.runs.config.si import CENTI

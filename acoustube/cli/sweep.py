@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from acoustube.base.report import Reporter
 
 LOOKED_UP = 20_000
-"""Largest number of cases that a dry run checks one by one."""
+"""Largest number of cases of a plan of which a dry run checks every case."""
 SAMPLED = 2000
-"""Number of cases of a larger plan that are checked."""
+"""Largest number of cases of a larger plan that a dry run checks."""
 Values = list[str] | None
 
 
@@ -71,7 +71,7 @@ class Choice(Checked):
     plan: Path | None = None
 
     def with_axes(self, axes: Axes) -> Plan:
-        """Return the plan of the settings that vary."""
+        """Return the plan from these options and from the settings that vary."""
         over = {name: words for name, words in settings_of(axes).items() if words is not None}
         over |= other_settings(self.vary or [], over)
         return load_plan(self.plan, over, count=self.random, sampler=self.sampler, seed=self.seed)
@@ -104,12 +104,12 @@ class Execution:
     dry_run: Annotated[bool, FLAG] = False
 
     def share(self) -> tuple[int, int]:
-        """Parse a shard such as 3/40: its number and the number of shards.
+        """Return number and count of the shard, such as (3, 40) for 3/40; (1, 1) by default.
 
         Raises
         ------
         ConfigError
-            If the words are not of this form, or the number is over the count.
+            If the shard is not of this form, or its number is not from 1 to the count.
         """
         if self.shard is None:
             return 1, 1

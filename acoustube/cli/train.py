@@ -130,7 +130,7 @@ def _trained(
 
 
 def _print_cycles(table: xr.Dataset, name: str, report: Reporter) -> None:
-    """Print the number of cycles, the targets and the training rows."""
+    """Print the numbers of cycles, of echoes and of cycles to train on, and the targets."""
     import numpy as np
 
     from acoustube.estimation.model import TARGETS, targets_of, usable
@@ -145,7 +145,7 @@ def _print_cycles(table: xr.Dataset, name: str, report: Reporter) -> None:
 
 
 def _print_overfitting(model: Model, report: Reporter) -> None:
-    """Print the lowest validation loss, the mean of the folds, and a sign of overfitting."""
+    """Print the validation loss, averaged over the folds, and whether it shows overfitting."""
     import numpy as np
 
     if not hasattr(model.estimator, "networks_"):

@@ -32,17 +32,22 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     max_iter : int
         Number of trees of a model, as ``max_iter`` of scikit-learn.
     learning_rate : float
+        As ``learning_rate`` of scikit-learn.
     max_leaf_nodes : int
         Largest number of leaves of a tree, as ``max_leaf_nodes`` of scikit-learn.
     offset_columns : tuple of int or None
         For each target the column of X whose values are subtracted from it before training and
         added to the estimate; None for no offset.
     seed : int
+        Random seed of the folds and of scikit-learn.
 
     Attributes
     ----------
     means_, scales_ : acoustube.estimation.trees.Trees
-        Models of the target and of its absolute held-out residual; the folds vary fastest.
+        Models of the targets and of their absolute held-out residuals: for each target one model
+        per fold, the folds varying fastest.
+    narrowest_ : array of shape (target,)
+        Least scale of each target, in its unit; see :data:`MIN_SCALE`.
     quantiles_ : array of shape (level, target)
         See :mod:`acoustube.estimation.uncertainty`.
 
@@ -98,7 +103,7 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
                 model = HistGradientBoostingRegressor(
                     max_iter=self.max_iter, learning_rate=self.learning_rate,
                     max_leaf_nodes=self.max_leaf_nodes, early_stopping=False,
-                    random_state=self.seed % 2**32,  # the largest that scikit-learn takes
+                    random_state=self.seed % 2**32,  # scikit-learn takes no larger seed
                 )  # fmt: skip
                 models.append(model.fit(x[fold != k], target[fold != k]))
                 report(len(models) / (targets.shape[1] * self.n_folds))
@@ -110,7 +115,9 @@ class Boosting(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         return np.asarray(every.transpose(1, 2, 0))
 
     def _held_out(self, trees: Any, x: Array, fold: NDArray[np.intp]) -> Array:
+        """Return each row's output of the model that held it out, (row, target)."""
         return np.asarray(self._by_fold(trees, x)[fold, np.arange(len(x))])
 
     def _mean(self, trees: Any, x: Array) -> Array:
+        """Return the mean output of the models of all folds, (row, target)."""
         return np.asarray(self._by_fold(trees, x).mean(axis=0))

@@ -18,14 +18,18 @@ from acoustube.estimation.uncertainty import Folds, Report
 class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     """Networks that estimate a Laplace distribution for each target, one network per fold.
 
-    The inputs are the features of :func:`acoustube.estimation.features.echo_features`. Position is
-    estimated as an offset from the distance of the strongest echo.
+    The inputs are the features of :func:`acoustube.estimation.features.echo_features`. With the
+    column of the distance as its offset column, position is estimated relative to the strongest
+    echo.
 
     Parameters
     ----------
     n_folds : int
         Number of networks, each of which holds out one fold of the rows.
-    epochs, batch_size : int
+    epochs : int
+        Number of passes over the training rows.
+    batch_size : int
+        Number of rows of an optimiser's step.
     learning_rate, weight_decay : float
         See :func:`acoustube.estimation.network.optimiser`.
     hidden : tuple of int
@@ -34,6 +38,7 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         For each target the column of X whose values are subtracted from it before training and
         added to the estimate; None for no offset. These columns are not inputs of the networks.
     seed : int
+        Random seed of folds, initial weights and the order of the rows.
 
     Attributes
     ----------
@@ -45,9 +50,9 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     -----
     A deep ensemble [1]_ of Laplace distributions in place of normal ones, since some strongest
     echoes are not those of the press: outliers of a metre must not enter the loss squared. The
-    estimate is the mean of the networks' medians. Its scale is the square root of their mean
-    variance plus the variance of their medians, multiplied by the conformal quantile of held-out
-    rows.
+    estimate is the mean of the networks' medians. The square of its scale is the mean of the
+    networks' variances plus the variance of their medians. The scale is multiplied by the conformal
+    quantile of held-out rows.
 
     References
     ----------
@@ -92,4 +97,5 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         return scales.y_mean[:, None] + unit * out, unit * width
 
     def _inputs(self, x: Array) -> Array:
+        """Return the inputs of the networks: the columns of X that are no offset columns."""
         return np.delete(x, sorted({c for c in self.offset_columns or () if c is not None}), axis=1)

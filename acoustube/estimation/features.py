@@ -137,7 +137,7 @@ def feature_table(
     Raises
     ------
     ValueError
-        As for :func:`acoustube.signals.process`.
+        As for :func:`acoustube.signals.process`, or if a variable is missing.
     """
     if missing := {"time", "signal", "temperature"} - {str(name) for name in cycles.variables}:
         raise ConfigError(f"the cycles have no {min(missing)}; give a dataset of recordings")
@@ -172,7 +172,7 @@ def feature_table(
 
 
 def names(settings: FeatureSettings) -> tuple[str, ...]:
-    """Return the names of the features."""
+    """Return the names of the features that :func:`feature_table` computes with settings."""
     return PEAK_FEATURES if settings.kind == "paper" else echo_names(settings.processing.frequency)
 
 
@@ -230,13 +230,17 @@ def echo_features(
     -------
     array of shape (cycle, feature)
         nan for a cycle without an echo. The echo is that of the highest level over the background;
-        levels are corrected for the path there and back. In order: its ``distance`` in m; its
-        ``level`` in dB of the send pulse; its levels ``over_background`` and ``over_noise``, and
-        the tube's ``clutter``, in dB; ``first_lead`` in m and ``first_level`` in dB, the distance
-        from the first echo of this press to it and that echo's relative level; relative levels over
-        the background in dB, and distances from it in m, of the next :data:`N_OTHER_ECHOES`; the
-        spectrum around it at :func:`frequencies` in dB of the send pulse; and the envelope at
-        :data:`ENVELOPE_DELAYS` in dB of the echo.
+        levels are corrected for the path there and back. In order:
+
+        * its ``distance`` in m, and its ``level`` in dB of the send pulse;
+        * its levels ``over_background`` and ``over_noise``, and the tube's ``clutter``, in dB;
+        * ``first_lead``, by how many m the press's first echo is nearer, and ``first_level``, the
+          level of this first echo in dB;
+        * levels in dB of the next :data:`N_OTHER_ECHOES`, then their distances from the echo in m;
+        * the spectrum around the echo at :func:`frequencies` in dB of the send pulse;
+        * the envelope at :data:`ENVELOPE_DELAYS` in dB of the echo.
+
+        Levels of the first and of the next echoes are over the background, relative to the echo's.
 
     Notes
     -----
@@ -301,7 +305,7 @@ def _levels(
     past = place > settings.farthest
     quiet = np.where(past.sum(axis=-1, keepdims=True) > envelope.shape[-1] // 20, past, inside)
     noise = _median(envelope, quiet)
-    audible = inside & (envelope > 3 * noise)
+    audible = inside & (envelope > NOISE_MAXIMUM * noise)
     # Where no clutter exceeds the noise, the noise at the tube's start is its upper bound.
     audible |= inside & ~audible.any(axis=-1, keepdims=True) & (place < 2 * settings.nearest)
     return _median(envelope * gain, audible), noise
@@ -316,8 +320,8 @@ def _median(values: Array, where: NDArray[np.bool_]) -> Array:
 def _attenuation(frequency: Array, temperatures: Array, radii: Array) -> Array:
     """Return the plane mode's attenuation in dB/m for each cycle, (cycle, frequency).
 
-    It is interpolated linearly, with an error under 0.1 %, between multiples of
-    :data:`TEMPERATURE_STEP`, which are fixed: a cycle's features do not depend on other cycles.
+    It is interpolated linearly, with an error under 0.1 %, between fixed temperatures, multiples of
+    :data:`TEMPERATURE_STEP`, so that a cycle's features do not depend on other cycles.
     """
     attenuation = np.empty((len(temperatures), len(frequency)))
     place = np.asarray(temperatures) / TEMPERATURE_STEP
@@ -354,7 +358,7 @@ def _sampled(envelope: Array, time: Array, at: Array) -> Array:
 
 
 def _companions(echoes: Echoes, back: Array, height: Array, speed: Array) -> Array:
-    """Return lead and level of a press's first echo, and levels and distances of further echoes."""
+    """Return the features from ``first_lead`` to the other echoes' distances, (cycle, feature)."""
     if echoes.times.shape[-1] == 0:
         return np.full((len(back), 2 + 2 * N_OTHER_ECHOES), np.nan)
     after = speed / 2 * (echoes.times - back[:, None])  # in m
@@ -378,7 +382,7 @@ def _companions(echoes: Echoes, back: Array, height: Array, speed: Array) -> Arr
 def _spectrum(
     time: Array, signal: Any, ranging: Ranging, back: Array, settings: Processing
 ) -> Array:
-    """Return the spectrum of a window around an echo in dB of the send pulse."""
+    """Return the spectrum (cycle, frequency) around the echo at `back`, in dB of the send pulse."""
     rate = sampling_rate(time)
     plain = np.asarray(signal, float)
     if settings.offset_cutoff is not None:

@@ -30,7 +30,10 @@ class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
     ----------
     n_folds : int
         Number of networks, each of which holds out one fold of the rows.
-    epochs, batch_size : int
+    epochs : int
+        Number of passes over the training rows.
+    batch_size : int
+        Number of rows of an optimiser's step.
     learning_rate, weight_decay : float
         Settings of Adam; the decay is an L2 term in the gradient, see
         :func:`acoustube.estimation.network.optimiser`.
@@ -92,6 +95,7 @@ class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         return np.asarray(scales.y_mean + scales.y_deviation * out)
 
     def _deviation(self, estimate: Array, every: Array) -> Array:
+        """Return the scale of estimates (row,): spread of the folds with the typical residual."""
         mean = self.weights_ @ every
         between = np.sqrt(self.weights_ @ (every - mean) ** 2)
         return np.hypot(between, np.interp(estimate, *self.scale_))

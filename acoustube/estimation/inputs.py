@@ -31,7 +31,7 @@ SETTINGS = {
 
 
 def check_settings(estimator: Any) -> None:
-    """Raise ConfigError unless an estimator's parameters are in range; 3.0 folds become 3."""
+    """Raise ConfigError unless an estimator's parameters are in range; 3.0 becomes 3 in place."""
     for name, value in estimator.get_params().items():
         if name in SETTINGS:
             setattr(estimator, name, check_argument(name, value, SETTINGS[name]))
@@ -59,7 +59,7 @@ def groups_of(groups: Any, rows: Array) -> Any:
 
 
 def is_constant(values: Array) -> bool:
-    """Return whether a target is equal in all rows, up to rounding."""
+    """Return whether the values of a target are equal in all rows, up to rounding."""
     return bool(np.ptp(values) <= 1e-9 * np.max(np.abs(values)))
 
 

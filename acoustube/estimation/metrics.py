@@ -69,7 +69,12 @@ def errors(
     Returns
     -------
     Errors
-        All nan without estimates.
+        Without finite pairs, `n` is 0 and all others are nan.
+
+    Raises
+    ------
+    ConfigError
+        If the arrays do not have one shape.
 
     Notes
     -----
@@ -117,14 +122,15 @@ def bins(values: ArrayLike, width: float) -> tuple[Array, NDArray[np.intp]]:
     values : array of shape (n,)
         Values that are not finite are in no bin.
     width : float
-        Bins begin at its multiples: 5 cm divide the sleeve paper's 20 to 210 cm into 38.
+        Width of a bin; bins begin at multiples of it. With 5 cm, the sleeve paper's 20 to 210 cm
+        have 38 bins.
 
     Returns
     -------
     edges : array of shape (bin, 2)
         Lower and upper edges, rising. A value at an edge, up to rounding, is in the upper bin.
     index : array of int of shape (n,)
-        Index of the bin; -1 for values that are not finite.
+        Row of each value's bin in `edges`; -1 for values that are not finite.
     """
     values = np.asarray(values, float)
     known = np.isfinite(values)

@@ -26,11 +26,13 @@ ESTIMATORS: dict[str, type[Estimator]] = {
     "echo": EchoEnsemble,
     "boosting": Boosting,
 }
+"""Estimators by the names that :func:`train` takes."""
 TARGETS = {"true_distance": "distance", "depth": "depth", "force": "force"}
 """Labels that are estimated, with the names of their estimates."""
 UNITS = {"true_distance": "m", "depth": "m", "force": "N"}
+"""Units of the labels, and of their estimates."""
 WIDE = 0.9
-"""Coverage of the wide interval; the other is that of one standard deviation."""
+"""Coverage of the wider interval of an estimate; the narrower has that of a standard deviation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +51,8 @@ class Model:
     sampling_rate : float
         Sampling rate of the training cycles in Hz.
     origin : dict
-        Numbers of cycles, and the groups that were held out together.
+        ``cycles`` and ``trained``: numbers of cycles given, and used. ``by``: groups that were held
+        out together.
     """
 
     name: str
@@ -61,7 +64,7 @@ class Model:
 
 
 def kind_of_features(name: str) -> str:
-    """Return the kind of features of an estimator; see :class:`FeatureSettings`."""
+    """Return the kind of features that an estimator takes; see :class:`FeatureSettings`."""
     return "paper" if name == "network" else "echo"
 
 
@@ -135,7 +138,8 @@ def train(
     Raises
     ------
     ConfigError
-        If labels are missing, or the cycles are too few or a label is constant.
+        If labels are missing, the cycles are too few, a label is constant, or a parameter is out of
+        range.
     """
     _check_table(table)
     targets = targets_of(name, table)

@@ -41,6 +41,7 @@ Arrays = dict[str, NDArray[Any]]
 FORMAT = 1
 """Version of the format; raised when the stored arrays, or the definition of features, change."""
 KIND = "acoustube model"
+"""Word by which a file's header is known as that of a model."""
 ORIGIN = ("cycles", "trained", "by")
 """Keys of a model's ``origin``: what it was trained with."""
 RATE = Number(1e3, 1e8, "Hz", "samples per second")
@@ -241,6 +242,7 @@ def _trees(arrays: Arrays, part: str, n_features: int, n_models: int) -> Trees:
 
 
 def _shaped(arrays: Arrays, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return an array of a file; raise ValueError unless it has the shape and is finite."""
     array = arrays[name]
     if array.shape != shape or array.dtype.kind != "f" or not np.isfinite(array).all():
         raise ValueError(f"its {name} of shape {array.shape} should be {shape} finite numbers")

@@ -1,7 +1,8 @@
 """Small fully connected networks, one per fold, trained simultaneously.
 
-Pure functions of parameters whose first axis is the fold. The rows are shared: a batch is gathered
-by index, so that the folds differ in their indices only and one compiled step trains all of them.
+The functions are pure, and the first axis of the parameters is the fold. The folds share the rows:
+a batch is gathered by index, so that the folds differ in their indices only and one compiled step
+trains all of them.
 """
 
 from __future__ import annotations
@@ -99,7 +100,8 @@ def squared_loss(out: Any, y: Any) -> Any:
 def laplace_loss(out: Any, y: Any) -> Any:
     """Return the mean negative log likelihood, up to a constant, of Laplace distributed targets.
 
-    Outputs (row, 2 target): medians, then the logarithms of the scales before :func:`bounded`.
+    The outputs (row, 2 n_targets) are the medians, then the logarithms of the scales, to which
+    :func:`bounded` is applied here.
     """
     median, log_scale = jnp.split(out, 2, axis=1)
     log_scale = bounded(log_scale)
@@ -131,9 +133,10 @@ def optimiser(learning_rate: float, weight_decay: float) -> optax.GradientTransf
 
 
 def fit_scaler(x: NDArray[Any], y: NDArray[Any], fold: NDArray[np.intp], count: int) -> Scaler:
-    """Return each fold's means and standard deviations over its training rows.
+    """Return the means and standard deviations of x and y over each fold's training rows.
 
-    A constant column has the deviation 1, so that its standardised values are zero.
+    `fold` holds the fold in which each row is held out, from 0 to `count` - 1. A constant column
+    has the deviation 1, so that its standardised values are zero.
     """
     found: list[Any] = []
     for data in (x, y):
@@ -148,10 +151,11 @@ def fit_scaler(x: NDArray[Any], y: NDArray[Any], fold: NDArray[np.intp], count: 
 def batches(
     rng: np.random.Generator, fold: NDArray[np.intp], count: int, size: int
 ) -> NDArray[np.int32]:
-    """Return the shuffled rows of each batch of an epoch: (step, fold, row).
+    """Return the shuffled row numbers of each batch of an epoch: (step, fold, size).
 
     Every row of a fold's training set occurs once; the last batch is filled up with the first rows.
-    Folds with fewer rows than the largest repeat their first ones, so that all take as many steps.
+    Folds with fewer training rows than the largest repeat their first rows, so that all folds take
+    the same number of steps.
     """
     most = len(fold) - int(np.bincount(fold, minlength=count).min())
     steps = -(-most // size)
@@ -188,12 +192,16 @@ def train(
     loss : str
         ``squared``: an output per target. ``laplace``: a median and the logarithm of a
         scale per target.
-    epochs, batch_size : int
+    epochs : int
+        Number of passes over the training rows.
+    batch_size : int
+        Number of rows of an optimiser's step.
     learning_rate, weight_decay : float
         See :func:`optimiser`.
     seed : int
         Random seed of the initial weights and the order of the rows.
     progress : callable, optional
+        Called as :data:`Progress`.
     """
     count = int(fold.max()) + 1
     scales = fit_scaler(x, y, fold, count)
@@ -238,7 +246,7 @@ def _epoch(
     layers: Any, state: Any, order: Any, x: Any, y: Any, scales: Scaler,
     loss: Loss, learning_rate: float, weight_decay: float,
 ) -> Any:  # fmt: skip
-    """Take one step per batch, in all folds; return layers, state and mean loss (fold,)."""
+    """Take one optimiser's step per batch in all folds; return layers, state, mean loss (fold,)."""
     optimise = optimiser(learning_rate, weight_decay)
 
     def one(layers: Any, state: Any, rows: Any, scales: Scaler) -> Any:
@@ -285,7 +293,7 @@ def _validation(
 
 
 def predict(fitted: FittedNetworks, x: NDArray[Any]) -> NDArray[np.float64]:
-    """Return every network's outputs in standard units, (fold, row, output)."""
+    """Return every network's standardised outputs (fold, row, output) for inputs (row, input)."""
     scales, parts = fitted.scaler, []
     for start in range(0, len(x), ROWS_AT_ONCE):
         part = x[start : start + ROWS_AT_ONCE]

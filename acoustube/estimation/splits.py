@@ -40,7 +40,7 @@ def groups(cycles: xr.Dataset, by: str) -> Index:
     Raises
     ------
     ConfigError
-        If the label is missing.
+        If the label is missing, or `by` is none of :data:`KINDS`.
     """
     if by == "cycle":
         return np.arange(cycles.sizes["cycle"])
@@ -80,7 +80,7 @@ def folds(groups: ArrayLike, count: int, seed: int = 0, *, name: str = "count") 
     Raises
     ------
     ConfigError
-        If there are fewer groups than folds.
+        If there are fewer groups than folds, or fewer than two folds.
 
     Notes
     -----

@@ -23,8 +23,8 @@ class Trees(NamedTuple):
     root : array of int of shape (tree,)
         Root nodes of the trees.
     feature, left, right : array of int of shape (node,)
-        Column that is compared, and the next nodes at or below the threshold and above it. A leaf
-        has the column -1.
+        Column that is compared, next node if its value is at or below the threshold, and next node
+        if it is above. A leaf has the column -1.
     threshold, value : array of shape (node,)
         Threshold of an inner node, and value of a leaf.
     """
@@ -40,7 +40,7 @@ class Trees(NamedTuple):
 
 
 def export_trees(models: list[Any]) -> Trees:
-    """Return the trees of fitted ``HistGradientBoostingRegressor`` with one output each.
+    """Return the trees of fitted ``HistGradientBoostingRegressor`` models with one output each.
 
     scikit-learn has no public access to the nodes; a test compares :func:`predict_trees` with
     ``predict`` of scikit-learn.

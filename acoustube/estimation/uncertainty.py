@@ -32,6 +32,7 @@ LEVELS = np.append(np.arange(1, 100) / 100, 0.995)
 ONE_DEVIATION = 0.6827
 """Coverage of one standard deviation of a normal variable."""
 MAX_BINS, ROWS_PER_BIN = 20, 30
+"""Largest number of bins of :func:`residual_scale`, and rows that a further bin needs."""
 
 
 def conformal_quantiles(residual: ArrayLike, scale: ArrayLike) -> Array:
@@ -66,6 +67,10 @@ def factor(quantiles: Array, coverage: float = ONE_DEVIATION) -> Array:
         From :func:`conformal_quantiles`.
     coverage : float
         Fraction of the truths within an interval.
+
+    Returns
+    -------
+    array of shape (...)
 
     Raises
     ------
@@ -148,7 +153,8 @@ class Conformal:
         Raises
         ------
         ConfigError
-            If rows are too few or not finite, or a target is constant.
+            If rows are too few or not finite, a target is constant, a parameter is out of range, or
+            there are fewer groups than folds.
         """
         check_settings(self)
         x, targets = check_rows(X, y)
@@ -182,6 +188,11 @@ class Conformal:
         estimate, deviation : array of shape (row,) or (row, target)
             In the unit of the training targets. The deviation is the half width of an interval of
             68 % coverage, for rows exchangeable with the held-out ones.
+
+        Raises
+        ------
+        ConfigError
+            If X is not finite or has another number of columns than the training rows.
         """
         estimate, scale = self._estimated(X)
         if not return_std:
@@ -189,5 +200,22 @@ class Conformal:
         return estimate, scale * factor(self.quantiles_)
 
     def half_width(self, X: ArrayLike, coverage: float = 0.9) -> Array:
-        """Return the half widths of intervals around the estimates with a coverage."""
+        """Return the half widths of intervals around the estimates that have a coverage.
+
+        Parameters
+        ----------
+        X : array of shape (row, input)
+        coverage : float
+            Fraction of the truths within the intervals.
+
+        Returns
+        -------
+        array of shape (row,) or (row, target)
+            In the unit of the training targets.
+
+        Raises
+        ------
+        ConfigError
+            As :meth:`predict`, or if the coverage is outside :data:`LEVELS`.
+        """
         return np.asarray(self._estimated(X)[1] * factor(self.quantiles_, coverage))

@@ -74,7 +74,7 @@ class Model:
 
     @cached_property
     def wrinkle_tangent(self) -> sparse.csc_array:
-        """Lower triangle of `wrinkle_stiffness` for the unknowns."""
+        """Lower triangle of `wrinkle_stiffness` over the unknowns, in N/m, (n_free, n_free)."""
         return self.pattern.restrict(self.wrinkle_stiffness)
 
     @cached_property
@@ -89,7 +89,7 @@ class Model:
 
 
 def _weights_of_mesh(blocks: list[Array], n_rows: int) -> Array:
-    """Return the weights of blocks (n_blocks, n_block, ...), zero for repeated rows."""
+    """Stack the weights of blocks, (n_blocks, n_block, ...), with zeros for repeated rows."""
     weights = np.stack([np.asarray(block) for block in blocks])
     for block, count in zip(weights, counts_of_blocks(n_rows), strict=True):
         block[count:] = 0.0
@@ -97,7 +97,7 @@ def _weights_of_mesh(blocks: list[Array], n_rows: int) -> Array:
 
 
 def _joined(blocks: list[Any], n_rows: int) -> Array:
-    """Return the rows of blocks without the repeated ones."""
+    """Concatenate the rows of all blocks, and drop the repeated rows at the end."""
     return np.concatenate([np.asarray(block) for block in blocks])[:n_rows]
 
 
@@ -117,6 +117,7 @@ def build_model(
     fixed : array of bool, shape (n_nodes, 3)
         Displacement components held at zero.
     lumen : SelfContact
+        Contact of the inner wall with itself.
     wrinkle_stiffness : sparse array of shape (3 n_nodes, 3 n_nodes), optional
         In N/m; zero by default.
     """
@@ -151,11 +152,12 @@ class State(NamedTuple):
     displacement : array of shape (n_nodes, 3)
         In m.
     energy : float
-        Potential energy of the modelled part, in J.
+        Potential energy of the modelled part, in J: strain energy of the wall, contact energy,
+        self-contact barrier and wrinkle penalty.
     gradient : array of shape (n_free,)
         Residual (out-of-balance) forces on the unknowns, in N.
     norm : float
-        Norm of the gradient, in N.
+        Euclidean norm of the gradient, in N.
     """
 
     displacement: Array
@@ -173,12 +175,12 @@ def evaluate(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> Sta
     displacement : array of shape (n_nodes, 3)
         In m.
     bodies : tuple of Body
-        Indenters and ground.
+        Indenters and ground at their heights.
 
     Returns
     -------
     State
-        NaN where an element is inverted (J <= 0).
+        Its energy and its norm are not finite if an element is inverted (J <= 0).
     """
     mesh, position = model.mesh, model.mesh.points + displacement
     energies, inner = _wall_of(model, displacement)
@@ -199,7 +201,7 @@ def evaluate(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> Sta
 
 
 def _wall_of(model: Model, displacement: Array) -> tuple[Array, Array]:
-    """Return the strain energies in J and internal forces in N of the elements."""
+    """Return the elements' strain energies (n,) in J and nodal forces (n, n_local, 3) in N."""
     found = [
         _wall(displacement[block], rule, model.material)
         for block, rule in zip(model.elements, model.rules, strict=True)
@@ -210,7 +212,7 @@ def _wall_of(model: Model, displacement: Array) -> tuple[Array, Array]:
 
 
 def _faces(model: Model, position: Array) -> Iterator[tuple[Array, Array]]:
-    """Iterate over the blocks of outer faces: positions of their nodes, and areas."""
+    """Iterate over blocks of outer faces: node positions in m, undeformed point areas in m2."""
     return zip((position[block] for block in model.outer_faces), model.outer_areas, strict=True)
 
 
@@ -224,8 +226,9 @@ def stiffness(
     model, displacement, bodies
         As for :func:`evaluate`.
     convex : bool
-        Leave out the terms that make the tangent indefinite first: the geometric stiffness of the
-        pressure in the wall, and the negative eigenvalues of the self-contact barrier.
+        Leave out the terms that are the first to make the tangent indefinite: the geometric
+        stiffness of the pressure in the wall, and the negative eigenvalues of the self-contact
+        barrier.
 
     Returns
     -------
@@ -262,9 +265,10 @@ class EquilibriumResults(NamedTuple):
     energy : float
         Elastic energy of the wall in J.
     smallest_volume_ratio : float
-        Smallest J at the quadrature points.
+        Smallest volume ratio J at the quadrature points.
     smallest_gap : float
-        Smallest distance between the lower and the upper inner wall, in m.
+        Smallest distance across the lumen in m, between the lower and the upper part of the inner
+        wall; see :meth:`acoustube.indentation.self_contact.SelfContact.smallest_gap`.
     """
 
     press_force: Array

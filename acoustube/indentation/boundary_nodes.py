@@ -28,7 +28,7 @@ ENVELOPE = 1 / 25
 Their corners are then projected onto the surface; a narrower envelope only forces small elements
 at the bore."""
 MIN_JACOBIAN_RATIO = 0.2
-"""Smallest Jacobian in an element with curved edges, as a fraction of the straight element's."""
+"""Smallest allowed Jacobian of an element with curved edges, over that of the straight element."""
 ON_SURFACE = 1e-3
 """Largest distance at which a node counts as lying on a wall or plane, in wall thicknesses."""
 MIN_NORMAL_COSINE = 0.7
@@ -40,9 +40,9 @@ _CORNERS = np.array(list(itertools.combinations(range(4), 3)))
 TETRAHEDRON_FACES = np.array(
     [[*face, *(4 + edges(3).index((face[i], face[j])) for i, j in edges(2))] for face in _CORNERS]
 )
-"""Local nodes of a tetrahedron's four faces, each in the order of the face's own nodes."""
+"""Local nodes of a tetrahedron's faces, (4, 6): a row has the corners, then the mid-edge nodes."""
 REVERSED_FACE = np.array([0, 2, 1, 4, 3, 5])
-"""Order of a face's nodes that reverses its normal."""
+"""Order of a face's six nodes that reverses its normal."""
 
 
 class Plane(NamedTuple):
@@ -77,8 +77,11 @@ def quadratic(
     points : array of shape (n_points, 3)
         In m.
     tetrahedra : array of int, shape (n_tetrahedra, 4)
+        Node numbers of the corners.
     planes : sequence of Plane
+        Symmetry planes and ends of the piece.
     whole : Walls
+        Surfaces of the inner and the outer wall.
     halved : tuple of bool
         Symmetry planes x = 0 and z = 0 of the piece.
 
@@ -130,24 +133,25 @@ def quadratic(
 
 
 def _mid_edge_nodes(tetrahedra: Index, n_points: int) -> tuple[Index, Index]:
-    """Return the ends of every edge, and the numbers (n_tetrahedra, 6) of the mid-edge nodes."""
+    """Return the ends (n_edges, 2) of every edge, and the mid-edge nodes (n_tetrahedra, 6)."""
     ends = np.sort(tetrahedra[:, edges(3)].reshape(-1, 2), axis=1)
     pairs, number = np.unique(ends, axis=0, return_inverse=True)
     return pairs, n_points + number.reshape(-1, 6)
 
 
 def boundary_faces(elements: Index, points: Array) -> Index:
-    """Return the boundary faces of a mesh: those of one element only.
+    """Return the boundary faces of a mesh: those that belong to one element only.
 
     Parameters
     ----------
     elements : array of int, shape (n_elements, 10)
     points : array of shape (n_nodes, 3)
+        In m.
 
     Returns
     -------
     array of int, shape (n_faces, 6)
-        Node numbers, in the order of an outward normal.
+        Node numbers, ordered so that the normal points outwards.
     """
     faces = elements[:, TETRAHEDRON_FACES].reshape(-1, 6)
     _, first, count = np.unique(
@@ -221,9 +225,9 @@ def limit_distortion(start: Array, target: Array, elements: Index) -> Array:
     Returns
     -------
     array of shape (n_nodes, 3)
-        Elements have at least `MIN_JACOBIAN_RATIO` times their Jacobian at the start. Elements that
-        are flat at the start stay flat; :func:`acoustube.indentation.tetrahedra.qualities` finds
-        them.
+        In m. Elements have at least `MIN_JACOBIAN_RATIO` times their Jacobian at the start. Those
+        that are flat at the start stay flat; :func:`acoustube.indentation.tetrahedra.qualities`
+        finds them.
     """
     least = MIN_JACOBIAN_RATIO * jacobians(start, elements[:, :4])[:, 0]
     moved = target.copy()
@@ -241,12 +245,14 @@ def jacobians(points: Array, elements: Index) -> Array:
     Parameters
     ----------
     points : array of shape (n_nodes, 3)
+        In m.
     elements : array of int, shape (n_elements, 4 or 10)
 
     Returns
     -------
     array of shape (n_elements, n)
-        In m3. Quadratic elements: at the nodes, then at the quadrature points. Linear ones: n = 1.
+        In m3. Quadratic elements: at the 10 nodes, then at the 4 quadrature points. Linear
+        elements: n = 1.
     """
     if elements.shape[1] == 4:
         sides = points[elements[:, 1:]] - points[elements[:, :1]]

@@ -36,15 +36,17 @@ LARGEST_ZONE = 1000
 ROUNDS = 6
 """Largest number of extensions of the zone in one step."""
 NEGLIGIBLE = 1e-4
-"""Nonlinear part of the change of a contact force, relative to the residual, up to which its face
-is left out of the zone."""
+"""Largest nonlinear part of the change of a face's contact forces, relative to the norm of the
+residual, at which the face stays out of the zone."""
 ITERATIONS = 30
+"""Largest number of Newton iterations on the contact problem of the zone."""
 PRECISION = 1e-4
 """Tolerance of the zone's displacements, relative to the largest one of the linear step.
 
-A smaller one gains nothing: with the linearised wall a step lowers the residual 5 to 20 times at
-most."""
+A smaller tolerance gains nothing: with the linearised wall a step lowers the residual 5 to 20 times
+at most."""
 HALVINGS = 6
+"""Largest number of lengths tried for a Newton step on the zone, each half the last."""
 
 _gaps = jax.jit(contact.gaps)
 _pressures = jax.jit(contact.pressures)
@@ -75,7 +77,7 @@ class CondensedContact:
     _compliance: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Linearise the gaps at the state; the zone is empty."""
+        """Linearise the gaps at the state, and begin with an empty zone."""
         gap, normal = self._gaps(self.displacement)
         self._normal, self._stiffness = normal, self._laws(gap)[1]
         self._number = np.where(
@@ -85,7 +87,9 @@ class CondensedContact:
         self._compliance = np.zeros((0, 0))
 
     def step(self, state: State) -> Array:
-        """Return the step from a state, shape (n_free,), in m.
+        """Return the Newton step from a state, with the contact of the zone solved exactly.
+
+        The zone is extended in place to all nodes whose contact the step changes.
 
         Parameters
         ----------
@@ -94,8 +98,8 @@ class CondensedContact:
         Returns
         -------
         array of shape (n_free,)
-            The linear step of the factor if the zone becomes too large or its contact problem is
-            not solved.
+            In m. The linear step of the factor instead, if the zone becomes too large, its contact
+            problem is not solved, or the energy would not fall along the step.
         """
         linear = -self.factor(state.gradient)
         gap, _ = self._gaps(state.displacement)
@@ -143,23 +147,23 @@ class CondensedContact:
         return True
 
     def _gaps(self, displacement: Array) -> tuple[Array, Array]:
-        """Return gaps and normals of the outer wall's points: (body, face, point), (..., 3)."""
+        """Return the gaps (body, face, point) in m at the wall's points, and their gradients."""
         mesh = self.model.mesh
         faces = (mesh.points + displacement)[self._nodes]
         gap, normal = _gaps(padded(faces), mesh.face.shapes, self.bodies)
         return np.asarray(gap)[:, : len(faces)], np.asarray(normal)[:, : len(faces)]
 
     def _laws(self, gap: Array) -> tuple[Array, Array]:
-        """Return the contact forces in N (negative) and stiffnesses in N/m at the points."""
+        """Return force in N (negative) and stiffness in N/m of each gap, (body, face, point)."""
         faces = np.moveaxis(gap, 1, 0)
         slope, bend = _pressures(np.moveaxis(padded(faces), 0, 1), self.bodies)
         area = self.model.outer_areas.reshape(-1, self.model.outer_areas.shape[-1])
         return np.asarray(slope)[:, : len(area)] * area, np.asarray(bend)[:, : len(area)] * area
 
     def _closing(self, moved: Array, at: Index | slice = slice(None)) -> Array:
-        """Return the change of the gaps due to a motion of the nodes, shape (body, face, point).
+        """Return the linearised change of the gaps in m due to a motion of the nodes.
 
-        It is zero for all faces but those given.
+        Its shape is (body, face, point). It is computed at the faces `at` and zero elsewhere.
         """
         change = np.zeros(self._stiffness.shape)
         points = self._shapes @ moved[self._nodes[at]]
@@ -167,12 +171,12 @@ class CondensedContact:
         return change
 
     def _excess(self, gap: Array, before: Array, closing: Array) -> tuple[Array, Array]:
-        """Return the nonlinear part in N of the change of the points' forces, and stiffnesses."""
+        """Return the nonlinear part of the change of the forces in N, and stiffnesses in N/m."""
         force, stiffness = self._laws(gap + closing)
         return force - before - self._stiffness * closing, stiffness
 
     def _extended(self, faces: Index) -> bool:
-        """Add the unknowns of faces to the zone; return False if it becomes too large."""
+        """Add the unknowns of faces to the zone, or return False if it would become too large."""
         at_faces = np.union1d(self._faces, faces)
         # A body touches nodes in the direction of its normal: a rod's has no x component.
         across = np.abs(self._normal[:, at_faces]).max(axis=(0, 1, 2)) > 0
@@ -197,7 +201,7 @@ class CondensedContact:
         """Solve the contact problem on the zone; return its forces on the unknowns, in N.
 
         The displacements v of the zone satisfy ``v - v_linear + C f(v) = 0``, with the compliance C
-        and the nonlinear part f of the contact forces. None without convergence.
+        and the nonlinear part f of the contact forces. The result is None without convergence.
         """
         moved, scale = linear, np.abs(linear).max()
 
@@ -246,18 +250,20 @@ class CondensedContact:
         return np.asarray(entries.reshape(size, size), float)
 
     def _on_nodes(self, step: Array) -> Array:
+        """Return a step (n_free,) as displacements (n_nodes, 3), zero where they are fixed."""
         moved = np.zeros(self.displacement.shape)
         moved[self.model.free] = step
         return moved
 
     def _of_zone(self, moved: Array) -> Array:
+        """Return displacements of the zone's unknowns as (n_nodes, 3), zero elsewhere."""
         step = np.zeros(self.model.pattern.n_free)
         step[self._zone] = moved
         return self._on_nodes(step)
 
     @property
     def _nodes(self) -> Index:
-        """Nodes of the outer faces of all blocks, (n_faces, n_face_nodes)."""
+        """Nodes of the outer faces of all blocks, (n_faces, n_face_nodes); repeats included."""
         blocks = self.model.outer_faces
         return blocks.reshape(-1, blocks.shape[-1])
 

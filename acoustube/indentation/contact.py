@@ -25,7 +25,7 @@ CONTACT_STIFFNESS = 300.0
 At the pressures of a 7 mm press (under 0.5 MPa) the wall penetrates the rod by under 6 um.
 """
 CONTACT_SMOOTHING = 3e-4
-"""Half width of the smoothed contact onset, in wall thicknesses (0.5 um).
+"""Half width of the smoothed contact onset, in wall thicknesses (0.5 um in the default tube).
 
 The tube's initial stiffness is 0.47 N/mm: an onset wider by 4 um at the indenter and at the ground
 would change the force at 0.25 mm by 3 %."""
@@ -102,7 +102,7 @@ def punch_gap(radius: Scalar, edge: Scalar, x: Scalar, z: Scalar, point: Array) 
     that cylinder, distances are negative, and the larger one (to the nearer of side and end) holds.
     """
     # The square root has no derivative at zero: 1e-30 keeps it differentiable on the axis, and
-    # `where` at points level with the flat end.
+    # `where` inside the smaller cylinder.
     out = jnp.sqrt((point[0] - x) ** 2 + (point[2] - z) ** 2 + 1e-30) - (radius - edge)
     down = edge - point[1]
     beyond = jnp.maximum(out, 0.0) ** 2 + jnp.maximum(down, 0.0) ** 2
@@ -308,7 +308,7 @@ def gaps(position: Array, shapes: Array, bodies: tuple[Body, ...]) -> tuple[Arra
 
 
 def pressures(gap: Array, bodies: tuple[Body, ...]) -> tuple[Array, Array]:
-    """Return the first and second derivatives in Pa and Pa/m of the contact laws, by the gap.
+    """Return the contact laws' first derivative in Pa and second in Pa/m with respect to the gap.
 
     Parameters
     ----------
@@ -319,7 +319,7 @@ def pressures(gap: Array, bodies: tuple[Body, ...]) -> tuple[Array, Array]:
     Returns
     -------
     two arrays of shape (n_bodies, n_faces, n_points)
-        The first is negative: minus the contact pressure.
+        The first holds minus the contact pressure.
     """
     slopes = [jax.vmap(jax.vmap(jax.grad(body.law)))(gap[i]) for i, body in enumerate(bodies)]
     bends = [
@@ -329,9 +329,9 @@ def pressures(gap: Array, bodies: tuple[Body, ...]) -> tuple[Array, Array]:
 
 
 def force(position: Array, area: Array, shapes: Array, body: Body) -> Array:
-    """Return the upward force in N on a body: minus the derivative of the energy by its height.
+    """Return the upward force in N of all faces on a body: minus d(energy) / d(body's height).
 
-    Arguments as for :func:`energies_and_forces`, for one body.
+    Arguments as for :func:`energies_and_forces`, with one body in place of a tuple.
     """
 
     def total(height: Scalar) -> Array:

@@ -1,9 +1,9 @@
 """States of a press as smooth functions of depth, interpolated between the rows of an indentation.
 
-Cubic splines through the displacements of the rows, which have continuous first and second
-derivatives [1]_. The derivative of a state by depth also follows from its tangent stiffness, but it
-holds for one set of contact points only, which changes every few micrometres. With such
-derivatives (cubic Hermite splines) the error between the rows was up to three times as large.
+The displacements of the rows are interpolated by cubic splines, which have continuous first and
+second derivatives [1]_. Cubic Hermite splines could also use the derivative of each state by depth,
+which follows from the tangent stiffness. But this derivative holds for one set of contact points
+only, and the set changes every few micrometres: with it the error was up to three times as large.
 
 References
 ----------
@@ -29,6 +29,7 @@ from acoustube.indentation.result import RESULTS, Indentation
 FEWEST_ROWS = 5
 """Smallest number of rows: a cubic through all but one estimates the error at that one."""
 _SOLVED = ("depth", "displacement", "press_force", "iterations", "residual")
+"""Results that :meth:`DepthPath.at` does not interpolate by monotone cubics (PCHIP)."""
 
 
 class InterpolationError(NamedTuple):
@@ -39,7 +40,7 @@ class InterpolationError(NamedTuple):
     displacement : array
         Largest error over the nodes, in m.
     contact_force : array
-        In N.
+        Error of the total force, in N.
     """
 
     displacement: Array
@@ -91,16 +92,18 @@ class DepthPath:
         -------
         array of shape (..., n_nodes, 3)
             In m, divided by m once for each order of the derivative.
+
+        Raises
+        ------
+        ConfigError
+            If a depth is negative or beyond the last row.
         """
         return np.asarray(self._displacement(self._checked(depth), derivative))
 
     def press_force(self, depth: ArrayLike, derivative: int = 0) -> Array:
         """Return the force on each indenter, or its derivative by depth.
 
-        Parameters
-        ----------
-        depth, derivative
-            As for :meth:`displacement`.
+        Parameters and errors are those of :meth:`displacement`.
 
         Returns
         -------
@@ -110,13 +113,13 @@ class DepthPath:
         return np.asarray(self._press_force(self._checked(depth), derivative))
 
     def contact_force(self, depth: ArrayLike, derivative: int = 0) -> Array:
-        """Return the total force on all indenters; arguments as for :meth:`displacement`."""
+        """Return the total force on all indenters; arguments and unit as :meth:`press_force`."""
         return self.press_force(depth, derivative).sum(axis=-1)
 
     def at(self, depth: ArrayLike) -> Indentation:
         """Return an indentation with rows at given depths.
 
-        It serves functions that evaluate, draw or export the rows of an indentation.
+        Use it with functions that evaluate, draw or export the rows of an indentation.
 
         Parameters
         ----------
@@ -128,6 +131,11 @@ class DepthPath:
         Indentation
             Its residual is nan and its iterations are zero. Contact area, energy, volume ratio and
             gap are monotone cubics (PCHIP) through those of the rows.
+
+        Raises
+        ------
+        ConfigError
+            If the depths do not rise, or one is negative or beyond the last row.
         """
         depth = np.atleast_1d(self._checked(depth))
         if depth.ndim > 1 or np.any(np.diff(depth) <= 0):
@@ -138,7 +146,7 @@ class DepthPath:
             for name in RESULTS
             if name not in _SOLVED and name != "smallest_gap"
         }
-        # The gap at first contact is not kept.
+        # Without the first row, whose gap is nan if it is from `first_touch`.
         gap = PchipInterpolator(given.depth[1:], given.smallest_gap[1:])
         return dataclasses.replace(
             given,
@@ -152,12 +160,17 @@ class DepthPath:
         )
 
     def error(self, depth: ArrayLike) -> InterpolationError:
-        """Return the estimated errors at depths.
+        """Return the estimated errors of interpolation at depths.
 
         Parameters
         ----------
         depth : array_like
-            In m.
+            In m, of any shape.
+
+        Raises
+        ------
+        ConfigError
+            If a depth is negative or beyond the last row.
 
         Notes
         -----
@@ -188,7 +201,7 @@ class DepthPath:
 
     @cached_property
     def _left_out(self) -> tuple[Array, Array]:
-        """Errors of displacement and force at each inner row when predicted from all others."""
+        """Errors in m and N at each inner row when predicted from all others, two (n_rows - 2,)."""
         given, count = self.indentation, len(self.indentation.depth)
         moved, force = [], []
         for row in range(1, count - 1):

@@ -41,7 +41,7 @@ from acoustube.indentation.result import Indentation
 from acoustube.indentation.self_contact import triangulated
 
 SECTION_PARTS = 8
-"""Sides per element edge of the polygon whose area is taken as the lumen's."""
+"""Sides per element edge of the polygon around the lumen's section: its area is the lumen's."""
 
 
 class Design(NamedTuple):
@@ -165,7 +165,7 @@ def _design(indentation: Indentation) -> Design:
 def _problem(
     indentation: Indentation, model: Model, increment: int
 ) -> Callable[[Design], _Problem]:
-    """Return the problem as a function of the design that JAX can differentiate."""
+    """Return a function of the design that discretises the press; JAX can differentiate it."""
     tube, mesh, (indenter,) = indentation.tube, indentation.mesh, indentation.indenters
     assert mesh.sweep is not None
     grid, ratio = mesh.sweep, tube.bulk_modulus / tube.shear_modulus
@@ -202,13 +202,13 @@ def _problem(
 
 
 def _first_touched(points: Array, indenter: Indenter, touch: float) -> int:
-    """Return the number of the outer wall's node at which the contact begins."""
+    """Return the index of the point at which contact begins, of points (n, 3) on the outer wall."""
     gaps = jax.vmap(indenter.gap())(points - np.array([0.0, touch, 0.0]))
     return int(np.argmin(gaps))
 
 
 def _touch_height(gap: Partial, point: Any, touch: float) -> Any:
-    """Return the height of first contact, differentiable: one step of Newton's method."""
+    """Return the height in m of first contact, differentiable: one step of Newton's method."""
     up = jnp.array([0.0, 1.0, 0.0])
 
     def clearance(height: Any, point: Any) -> Any:
@@ -233,7 +233,7 @@ def _residual_derivative(
     displacement: Array,
     design: Design,
 ) -> Callable[[Design], Array]:
-    """Return the derivative of the nodal forces (n_nodes, 3) along a direction of the design.
+    """Return a function: derivative of the nodal forces (n_nodes, 3) along a change of the design.
 
     The displacements are constant.
     """

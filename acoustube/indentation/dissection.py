@@ -112,7 +112,7 @@ def dissected(lower: sparse.csc_array, points: Array) -> Dissection:
 
 
 def _cut(graph: sparse.csr_array, points: Array, weights: Index) -> tuple[Index, ...] | None:
-    """Return the nodes of two parts and of the cheapest separator between them, or None."""
+    """Return the nodes of two parts and of the cheapest separator; None if the part is not cut."""
     total = weights.sum()
     if total <= LEAF:
         return None

@@ -115,7 +115,7 @@ def project(volume_ratio: Array, rule: Quadrature) -> Array:
     volume_ratio : array of shape (n_points,)
         J at the points.
     rule : Quadrature
-        That of the element, without the axis of elements.
+        Of this element alone: its arrays lack the axis of elements.
 
     Returns
     -------
@@ -133,7 +133,7 @@ def energy(displacement: Array, rule: Quadrature, material: Material) -> Array:
     displacement : array of shape (n_local, 3)
         Nodal displacements in m.
     rule : Quadrature
-        That of the element, without the axis of elements.
+        Of this element alone: its arrays lack the axis of elements.
     material : Material
     """
     f = deformation_gradients(displacement, rule.gradients)

@@ -26,17 +26,18 @@ from acoustube.indentation.result import Indentation
 from acoustube.tube import Tube
 
 COARSE = MeshSize(through_wall=1, around=12, along=10)
+"""Numbers of elements of a guide's mesh."""
 LEAST_RATIO = 2.0
 """Smallest ratio of the numbers of elements, fine to coarse, at which a guide saves time."""
 
 
 class Guide(NamedTuple):
-    """A load path on another mesh.
+    """A load path on a coarse mesh, with its interpolation at the nodes of a fine mesh.
 
     Attributes
     ----------
     reach : float
-        Its largest depth in m.
+        Largest depth of the load path in m.
     path : callable
         Interpolates the displacements on the coarse mesh, (n_coarse, 3) in m, at a depth in m.
     prolongation : sparse array of shape (n_nodes, n_coarse)
@@ -127,9 +128,10 @@ def _coordinates(grid: Sweep) -> tuple[Array, Array, Array]:
 
 
 def _element_coordinates(own: Array, other: Array, period: float | None) -> tuple[Index, Array]:
-    """Return the number of the element along an axis, and the local coordinate in it.
+    """Return the element that holds each fine node, counted along an axis, and the place in it.
 
-    `own` holds the coordinates of the coarse nodes along the axis, `other` those to be located.
+    `own` and `other` are the coordinates of the coarse and of the fine nodes along the axis;
+    `period` is the axis's length if it is closed. The place is the local coordinate, -1 to 1.
     """
     lines = np.unique(np.round(own, 9))
     if period is not None:

@@ -52,13 +52,13 @@ class Indenter:
     edge_radius : float, optional
         Radius of a punch's rounded edge in m; a tenth of its radius by default.
     depth_fraction : float
-        Its indentation depth as a fraction of the requested depth, above 0 and at most 1; for one
-        of several indenters.
+        Indentation depth of this indenter as a fraction of the requested depth, above 0 and at most
+        1; less than 1 for some of several indenters.
 
     Raises
     ------
     ConfigError
-        If a value is outside its range.
+        If a value is outside its range, or the edge radius is above the radius.
     """
 
     shape: Shape = "rod"
@@ -88,13 +88,13 @@ class Indenter:
 
     @property
     def halves(self) -> tuple[bool, bool]:
-        """Mirror symmetry of the indenter about x = 0, and about z = 0."""
+        """Whether the indenter is its own mirror image about x = 0, and about z = 0."""
         if self.shape == "rod":
             return self.yaw == 0, self.yaw == 0 and self.z == 0
         return self.x == 0, self.z == 0
 
     def gap(self, diameter: Any = None) -> Partial:
-        """Return the signed distance as a function of a point (3,) in m.
+        """Return a function: signed distance in m to a point (3,), y from the lowest point.
 
         Parameters
         ----------
@@ -152,6 +152,7 @@ def ground_body(shear_modulus: Any, wall_thickness: Any, height: Any, layer: Lay
     height : float
         Height y of the surface in m.
     layer : Layer or None
+        None for the rigid floor.
     """
     law = contact.rigid_law(shear_modulus, wall_thickness)
     if layer is not None:

@@ -23,14 +23,14 @@ Solve = Callable[[Array], Array]
 LARGEST_OWN_WORK = 1e11
 """Number of operations of a factorisation above which PARDISO is used if it is installed.
 
-On the largest mesh measured (5e10 operations) multifrontal Cholesky was the faster."""
+On the largest mesh measured (5e10 operations) multifrontal Cholesky was faster than PARDISO."""
 _PARDISO_POSITIVE_DEFINITE = 2
 _PARDISO_NOT_POSITIVE = -4
 
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Sparsity pattern of the stiffness matrix's lower triangle, with the map from its elements.
+    """Sparsity pattern of the stiffness matrix's lower triangle, and the map from element matrices.
 
     Attributes
     ----------
@@ -188,4 +188,5 @@ def _pypardiso() -> Any:
 
 @cache
 def _unused_solver(library: Any) -> Any:
+    """Return a solver of positive definite matrices that is never used itself, only copied."""
     return library.PyPardisoSolver(mtype=_PARDISO_POSITIVE_DEFINITE)

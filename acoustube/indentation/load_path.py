@@ -5,8 +5,9 @@ where it fails [1]_. Each starts from a polynomial extrapolation of the previous
 lumen's walls cross there. With a guide (:mod:`acoustube.indentation.guide`) an increment reaches
 from one requested depth to the next. It starts from the guide's state plus the difference of the
 last converged state from the guide's there, or from an extrapolation, whichever has the lower
-energy. Only depths `SPACING` apart are solved in rising order. The others are solved by bisection,
-from the cubic through the two states on either side, which is closer to the solution.
+energy. Only requested depths `SPACING` apart are solved in rising order. The others follow in
+bisection order, each nearest the middle of the widest gap. They start from the cubic through the
+two states on either side, which is closer to the solution than an extrapolation.
 
 References
 ----------
@@ -44,9 +45,9 @@ EASY_ITERATIONS = 8
 FORCE_TOLERANCE = 1e-8
 """Norm of the residual forces at convergence, in shear moduli times squared bore diameters."""
 SPACING = 1 / 8
-"""Smallest spacing of the target depths that are solved first, in rising order."""
+"""Smallest spacing, in bore diameters, of the depths that are solved first, in rising order."""
 EXTRAPOLATED_STATES = 3
-"""Number of converged states from which an increment's start is extrapolated (a quadratic)."""
+"""Largest number of converged states from which an increment's start is extrapolated."""
 
 
 class _Increment(NamedTuple):
@@ -88,7 +89,7 @@ def load_path(
     Returns
     -------
     Indentation
-        Every converged increment.
+        First contact and every converged increment, in order of depth.
 
     Raises
     ------
@@ -127,7 +128,10 @@ class _Problem(NamedTuple):
 
 
 def spread(targets: Array, spacing: float) -> Array:
-    """Return a subset of the target depths, at least a spacing apart, that includes the last."""
+    """Return those of the target depths, at least `spacing` apart, that are solved first.
+
+    The last is always one of them.
+    """
     kept = [targets[-1]]
     for target in targets[-2::-1]:
         if kept[-1] - target >= spacing * (1 - 1e-9):
@@ -189,10 +193,11 @@ def _follow(
 def _between(
     problem: _Problem, done: list[_Increment], depth: float, guide: Guide | None
 ) -> tuple[list[_Increment], NewtonResult | None]:
-    """Insert an increment at a depth between others; same results as :func:`_follow`.
+    """Insert an increment at a depth between two others; the results are those of :func:`_follow`.
 
-    If Newton's method fails from the state interpolated between the neighbours, a load path from
-    the lower neighbour is followed. If that fails too, the deeper increments are dropped.
+    After a failure the depth may be beyond the last increment: then nothing is inserted. If
+    Newton's method fails from the state interpolated between the neighbours, a load path from the
+    lower neighbour is followed. If that fails too, the deeper increments are dropped.
     """
     if depth > done[-1].depth:
         return done, None
@@ -223,7 +228,7 @@ def _results_at_first_touch(model: Model, untouched: Indentation) -> Equilibrium
 
 
 def _next_depth(targets: Array, reached: float, increment: float) -> float:
-    """Return the depth of the next increment, extended to a target that is just beyond."""
+    """Return the depth of the next increment: the next target if it is within 1.05 increments."""
     target = float(targets[np.searchsorted(targets, reached, side="right")])
     return target if reached + 1.05 * increment >= target else reached + increment
 
@@ -244,8 +249,9 @@ def _solved(
 ) -> NewtonResult:
     """Return Newton's solution from the predictor of lowest energy without self-intersection.
 
-    If all intersect themselves, each is replaced by a state short of the first crossing, on the
-    line to it from the state of the increment `near`.
+    If all predictors intersect themselves, each is replaced by a state short of the first crossing,
+    on the line to it from the state of the increment `near`. If no energy is finite, that state is
+    the start.
     """
     model, bodies = problem.model, bodies_at(problem.untouched, depth)
     here, points = near.solution.displacement, problem.model.mesh.points
@@ -261,7 +267,7 @@ def _solved(
 
 
 def _interpolated(increments: Sequence[_Increment], depth: float) -> Array:
-    """Return the polynomial through the states of increments at a depth."""
+    """Return the displacements at a depth, by the polynomial through those of increments."""
     states = [each.solution.displacement for each in increments]
     return _lagrange([each.depth for each in increments], states, depth)
 
@@ -277,7 +283,7 @@ def _corrected(guide: Guide, model: Model, increments: Sequence[_Increment], dep
 
 
 def _lagrange(depths: Sequence[float], states: Sequence[Array], depth: float) -> Array:
-    """Return the Lagrange polynomial through states at a depth."""
+    """Return the value at `depth` of the Lagrange polynomial through states at other depths."""
     x = np.array(depths)
     weights = [np.prod((depth - np.delete(x, i)) / (x[i] - np.delete(x, i))) for i in range(len(x))]
     return np.tensordot(weights, np.stack(states), axes=1)
@@ -292,6 +298,7 @@ def _fraction_done(n_done: int, left: float, increment: float, largest: float) -
 def _failed(
     untouched: Indentation, done: Sequence[_Increment], targets: Array, last: NewtonResult
 ) -> PressError:
+    """Return the error of a press whose increment failed, with the increments converged so far."""
     reached = int(np.isin(targets, [each.depth for each in done]).sum())
     count = f"{reached} of the {len(targets)} depths were reached. " if len(targets) > 1 else ""
     return PressError(

@@ -1,7 +1,8 @@
 """Strain energies of the wall's material: Neo-Hookean and Mooney-Rivlin.
 
-A material is its isochoric energy, a function of its parameters and the deformation gradient, and
-its bulk modulus. Another material is another such function; JAX derives stress and tangent.
+A material consists of an isochoric energy, as a function of parameters and the deformation
+gradient, and of a bulk modulus. JAX derives stress and tangent from the energy, so that another
+material needs no more than another such function.
 """
 
 from __future__ import annotations

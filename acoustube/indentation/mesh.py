@@ -16,7 +16,8 @@ from acoustube.indentation.reference_element import FACE, HEX20, Reference, latt
 from acoustube.tube import Tube
 
 BOTTOM_TOLERANCE = 1e-3
-"""Largest height of the bottom line's nodes over the lowest point, in outer heights of the tube."""
+"""Largest height of the bottom line's nodes over the lowest point, in outer heights of the tube;
+also the largest distance of an end's nodes from that end, in lengths of the mesh."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,14 +30,19 @@ class MeshSize:
         Elements through the wall, around half the circle, and along the tube to one side of the
         indenter.
     grading : float
-        Refinement towards the indenter: the first element has ``grading / sinh(grading)`` times the
-        length of a uniform division.
+        Refinement towards the indenter: the first element has about ``grading / sinh(grading)``
+        times the length of a uniform division.
     fold, touch : float
         Refinement at the sides of the tube, where the wall folds, and at its top and bottom, where
         it is in contact: the fraction by which elements are narrower than the average.
     inner : float
         Refinement towards the inner wall: with many layers, the fraction by which elements there
         are thinner than the average.
+
+    Raises
+    ------
+    ConfigError
+        If a value is outside its range.
     """
 
     through_wall: int
@@ -52,7 +58,7 @@ class MeshSize:
         count, fraction = Number(1, 1000, "elements", whole=True), Number(0, 0.99)
         check_fields(
             self, through_wall=count, around=count, along=count, fold=fraction, touch=fraction,
-            inner=fraction, grading=Number(0, 20),
+            inner=fraction, grading=Number(0.01, 20),
         )  # fmt: skip
 
 
@@ -70,7 +76,7 @@ class Sweep(NamedTuple):
     across, up : arrays of shape (n_nodes,)
         Components of the radial unit vector along x and y.
     station : array of shape (n_nodes,)
-        Distance along the tube from z = 0, as a fraction of the modelled length to one side.
+        Coordinate z as a fraction of the modelled length to one side of z = 0.
     shape : tuple of int
         Numbers of elements along, around and through the wall.
     """
@@ -95,7 +101,7 @@ class Sweep(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A mesh of quadratic elements with its nodes numbered along the tube.
+    """A mesh of quadratic elements.
 
     Parameters
     ----------
@@ -103,7 +109,7 @@ class Mesh:
         Node coordinates (x, y, z) in m.
     elements : array of int, shape (n_elements, n_local)
         Node numbers of the elements.
-    inner_faces, outer_faces : array of shape (n_faces, n_face_local)
+    inner_faces, outer_faces : array of int, shape (n_faces, n_face_local)
         Node numbers of the element faces on the inner and the outer wall; on a swept tube in the
         order of the elements, along slowest.
     reference : Reference
@@ -141,7 +147,7 @@ class Mesh:
 
     @cached_property
     def end_tops(self) -> Index:
-        """Node numbers on the top line of the outer wall at the ends, not at a symmetry plane."""
+        """Number of the topmost outer node at each end of the tube; a symmetry plane is no end."""
         outer = np.unique(self.outer_faces)
         z = self.points[outer, 2]
         near = BOTTOM_TOLERANCE * np.ptp(z)
@@ -224,18 +230,18 @@ def _graded_layers(size: MeshSize) -> Array:
 
 
 def _with_middles(edges: Array) -> Array:
-    """Return the stations of nodes, edges and their midpoints: an element's map is affine."""
+    """Return the stations of the nodes along an axis: element boundaries, and their midpoints."""
     return np.interp(np.arange(2 * len(edges) - 1) / 2, np.arange(len(edges)), edges)
 
 
 def _windows(number: Index, d: int) -> Index:
-    """Return the node numbers of all elements; neighbours share one plane of nodes."""
+    """Return the node numbers (..., 3, 3, ...) of all elements of a d-dimensional node grid."""
     views = np.lib.stride_tricks.sliding_window_view(number, (3,) * d)
     return views[(slice(None, None, 2),) * d]
 
 
 def _stations(presses: Array, size: MeshSize, *, from_zero: bool) -> Array:
-    """Return the stations of the nodes along the tube, as fractions of the reach.
+    """Return the stations of the nodes along the tube, in fractions of the reach as `presses` are.
 
     Between two indenters, and from the last to the end, elements grow away from the indenter.
     """
@@ -249,7 +255,7 @@ def _stations(presses: Array, size: MeshSize, *, from_zero: bool) -> Array:
 
 
 def _graded(length: float, size: MeshSize) -> Array:
-    """Return sinh-graded stations from 0 to `length`, with about the first spacing for length 1."""
+    """Return sinh-graded stations from 0 to `length`, the first spacing about that of length 1."""
     whole = np.sinh(size.grading * np.linspace(0, 1, size.along + 1)) / np.sinh(size.grading)
     if length <= 0:
         return np.zeros(1)

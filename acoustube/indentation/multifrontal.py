@@ -52,7 +52,7 @@ class Plan(NamedTuple):
     entries : array of int, shape (n_entries,)
         Place of each of the matrix's entries in the factor's storage.
     stack : array
-        Storage of Schur complements.
+        Working storage of Schur complements, overwritten by each factorisation.
     """
 
     place: Index
@@ -146,7 +146,8 @@ class MultifrontalFactor:
     ----------
     plan : Plan
     entries : array
-        Columns of the factor, one front after the other, each front in column-major order.
+        Entries of the factor, one front after the other: each front's square block, then the rows
+        below it, both in column-major order.
     """
 
     plan: Plan

@@ -25,6 +25,7 @@ from acoustube.base.types import Array
 from acoustube.indentation.linear_solver import Solve
 
 LARGEST_SUBSPACE = 24
+"""Largest number of Lanczos vectors."""
 ENOUGH = 0.1
 """Largest residual that a step may leave in the linearised equations, relative to the gradient."""
 SMALLEST_CURVATURE = 0.02
@@ -39,7 +40,7 @@ class CurvedStep(NamedTuple):
     step : array of shape (n,)
         In m; the energy falls along it.
     lowest : array of shape (n,)
-        Direction of the least curvature found, in m, of norm one in the convex matrix.
+        Direction v of the least curvature found, in m, scaled to ``v^T K_c v`` = 1 J.
     curvature : float
         Curvature along `lowest`, relative to that of the convex matrix; negative at a saddle.
     """

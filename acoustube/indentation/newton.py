@@ -38,7 +38,7 @@ RESIDUAL_DECREASE = 0.5
 REUSE_DECREASE = 0.1
 """Ratio of the residuals after and before a step below which its factor is used again."""
 CONDENSED_REUSE_DECREASE = 0.3
-"""The same with condensed contact, where a further step is cheap compared with a factorisation."""
+"""As `REUSE_DECREASE`, with condensed contact: there a step is cheap beside a factorisation."""
 LEAST_CONDENSED_WORK = 1e9
 """Smallest number of operations of a factorisation with which contact is condensed.
 
@@ -158,18 +158,20 @@ class _Tangent(NamedTuple):
         return -self.solve(state.gradient) if self.contact is None else self.contact.step(state)
 
     def holds_at(self, state: State) -> bool:
-        """Return whether it is positive definite with the contact of another state too."""
+        """Return whether the tangent is positive definite with the contact of another state too."""
         return self.contact is None or self.contact.positive_definite(state.displacement)
 
     @property
     def reuse(self) -> float:
+        """Ratio of the residuals after and before a step below which the factor is used again."""
         return REUSE_DECREASE if self.contact is None else CONDENSED_REUSE_DECREASE
 
 
 def _worth(tangent: _Tangent, state: State, lower: State, tolerance: float) -> bool:
     """Return whether to reuse the factor whose step led from one state to another of lower energy.
 
-    True if it lowers the residual enough, or would converge at this ratio in three more steps.
+    True if the step lowered the residual enough, or if three more steps with the same ratio of
+    residuals would converge.
     """
     ratio = lower.norm / state.norm
     last = lower.norm * ratio**3
@@ -207,7 +209,7 @@ def _factorised(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> 
 def _descended(
     model: Model, state: State, tangent: _Tangent, bodies: tuple[Body, ...], *, saddle: bool
 ) -> State | None:
-    """Return a state of lower energy by a step of a tangent, or None."""
+    """Return a state of lower energy, reached by a step of a tangent; None if none is found."""
 
     def moved(step: Array) -> State | None:
         on_nodes = np.zeros_like(state.displacement)
@@ -236,9 +238,9 @@ def _below_saddle(
     bodies: tuple[Body, ...],
     curved: CurvedStep | None,
 ) -> State | None:
-    """Return a state of lower energy than a saddle's, along its least curvature, or None.
+    """Return a state of lower energy along a saddle's least curvature; None if none is found.
 
-    `curved` is the step there, if its residual is not zero.
+    `curved` is the step from the saddle; None where the residual is zero.
     """
     if curved is None or curved.curvature >= 0:
         # The gradient of a symmetric state has no component in the direction of buckling.

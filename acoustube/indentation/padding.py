@@ -44,7 +44,7 @@ def in_blocks(rows: NDArray[Any]) -> NDArray[Any]:
 
 
 def counts_of_blocks(count: int) -> list[int]:
-    """Return how many rows of each block of :func:`in_blocks` are not repeated."""
+    """Return the number of rows in each block of :func:`in_blocks`, without repeated ones."""
     return [min(BLOCK, count - first) for first in range(0, count, BLOCK)]
 
 

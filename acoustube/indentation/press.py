@@ -34,7 +34,7 @@ from acoustube.indentation.self_contact import (
 )
 from acoustube.tube import Tube
 
-# The guide is the load path on a coarse mesh, followed before that on the requested mesh.
+# The guide is the load path on a coarse mesh. It is followed first, then the requested mesh's.
 GUIDE_INCREMENT = 1 / 8
 """Largest increment of the guide, in bore diameters."""
 GUIDE_TOLERANCE = 1e-3
@@ -183,10 +183,12 @@ def restored(
 ) -> Indentation:
     """Return an indentation from results computed before.
 
+    Its material is Neo-Hookean with the tube's moduli, and its barrier distance is the default.
+
     Parameters
     ----------
     tube, indenter, support, layer, mesh
-        As for :func:`indent`.
+        As for :func:`indent`; a mesh of the whole tube must be given as a Mesh.
     results : mapping of str to array
         From :attr:`Indentation.results`.
 
@@ -226,7 +228,7 @@ def first_touch(
     mesh: Mesh,
     barrier_distance: float,
 ) -> Indentation:
-    """Return the indentation at first contact, with one row of depth zero.
+    """Return the indentation at first contact: one row of depth zero, its smallest gap nan.
 
     Parameters
     ----------
@@ -297,7 +299,7 @@ def _indenters(indenter: Indenter | Sequence[Indenter] | None) -> tuple[Indenter
 
 
 def deepest_press(tube: Tube, layer: Layer | None = None) -> float:
-    """Return the largest supported depth in m: the bore and half a wall thickness.
+    """Return the largest supported depth in m: the bore plus half a wall thickness.
 
     Parameters
     ----------

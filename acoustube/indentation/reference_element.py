@@ -1,8 +1,8 @@
 """Reference elements: shape functions, quadrature rules and projection modes.
 
-The 20-node serendipity brick and the 10-node tetrahedron with their faces [1]_. Each is given by
-its nodes and by the monomials that span its shape functions; the inverse of their Vandermonde
-matrix holds the coefficients.
+The elements are the 20-node serendipity brick and the 10-node tetrahedron, with their faces [1]_.
+Each is given by its nodes and by the monomials that span its shape functions. The coefficients of
+the monomials are the inverse of the matrix of monomials at the nodes (Vandermonde matrix).
 
 References
 ----------
@@ -54,11 +54,11 @@ class Reference:
     nodes : array of shape (n_nodes, d)
         Local coordinates of the nodes.
     powers : array of int, shape (n_nodes, d)
-        Monomials that span the shape functions.
+        Exponents of the monomials that span the shape functions.
     points, weights : arrays of shape (n_points, d) and (n_points,)
         Quadrature rule.
     modes : array of int, shape (n_modes, d)
-        Monomials onto which the volume ratio is projected; empty for a face.
+        Exponents of the monomials onto which the volume ratio is projected; none for a face.
     stabilisation : float
         Stabilisation modulus on the unprojected part of the volume ratio, in shear moduli.
     """
@@ -161,13 +161,13 @@ def collapsed_gauss(n: int) -> tuple[Array, Array]:
 
 
 def tetrahedron_rule() -> tuple[Array, Array]:
-    """Return the 4-point rule on the unit tetrahedron, exact to degree 2."""
+    """Return points (4, 3) and weights (4,) on the unit tetrahedron, exact to degree 2."""
     a = (5 - np.sqrt(5)) / 20
     return np.vstack([np.full((1, 3), a), a + (1 - 4 * a) * np.eye(3)]), np.full(4, 1 / 24)
 
 
 def _brick(d: int) -> tuple[Array, Powers]:
-    """Return nodes and monomials of the serendipity element: 8 nodes in 2-D, 20 in 3-D."""
+    """Return nodes and exponents of the serendipity element: 8 nodes in 2-D, 20 in 3-D."""
     grid = lattice(2, d)
     at_corner_or_edge = np.sum(grid == 1, axis=1) <= 1
     superlinear = np.sum(np.where(grid > 1, grid, 0), axis=1)
@@ -175,7 +175,7 @@ def _brick(d: int) -> tuple[Array, Powers]:
 
 
 def _simplex(d: int) -> tuple[Array, Powers]:
-    """Return nodes (corners, then mid-edge nodes) and monomials of the quadratic simplex."""
+    """Return nodes (corners, then mid-edge nodes) and exponents of the quadratic simplex."""
     corners = np.vstack([np.zeros((1, d)), np.eye(d)])
     pairs = np.array(edges(d))
     grid = lattice(2, d)
@@ -196,7 +196,12 @@ def edges(d: int) -> list[tuple[int, int]]:
 
 _NO_MODES = np.zeros((0, 2), int)
 HEX20 = Reference(*_brick(3), *gauss(3, 3), lattice(1, 3))
+"""Hexahedron of 20 nodes, with 27 quadrature points and a trilinear projection of J."""
 QUAD8 = Reference(*_brick(2), *gauss(5, 2), _NO_MODES)
+"""Face of :data:`HEX20`, with 25 quadrature points."""
 TET10 = Reference(*_simplex(3), *tetrahedron_rule(), lattice(0, 3), stabilisation=8.0)
+"""Tetrahedron of 10 nodes, with 4 quadrature points and a constant projection of J."""
 TRI6 = Reference(*_simplex(2), *collapsed_gauss(4), _NO_MODES)
+"""Face of :data:`TET10`, with 16 quadrature points."""
 FACE = {HEX20: QUAD8, TET10: TRI6}
+"""Reference element of the faces, by that of the elements."""

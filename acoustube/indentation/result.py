@@ -41,8 +41,8 @@ class Indentation:
     mesh : Mesh
         Undeformed mesh of the modelled part.
     depth : array of shape (n_increments,)
-        Indentation depth in m: travel of the indenters from first contact (times the
-        `depth_fraction` of each).
+        Indentation depth in m. An indenter has travelled this depth times its `depth_fraction`
+        since first contact.
     displacement : array of shape (n_increments, n_nodes, 3)
         Nodal displacements in m.
     iterations : array of shape (n_increments,)
@@ -54,9 +54,10 @@ class Indentation:
     energy : array of shape (n_increments,)
         Elastic energy of the whole tube in J.
     smallest_volume_ratio : array of shape (n_increments,)
-        Smallest J at the quadrature points.
+        Smallest volume ratio J at the quadrature points.
     smallest_gap : array of shape (n_increments,)
-        Smallest distance between the lower and the upper inner wall, in m.
+        Smallest distance across the lumen in m, between the lower and the upper part of the inner
+        wall.
     touch_heights : tuple of float
         Height y in m of the lowest point of each indenter at first contact.
     barrier_distance : float

@@ -75,10 +75,11 @@ class SelfContact:
     _last: dict[str, Any] = field(init=False, repr=False, default_factory=dict)
 
     def _vertices(self, position: Array) -> Array:
+        """Return the vertices' positions in units of `length`, from those of the nodes in m."""
         return np.asfortranarray((self.sampling @ position) / self.length)
 
     def _collisions(self, vertices: Array) -> Any:
-        """Return the pairs of triangles within the activation distance; the last are cached."""
+        """Return the pairs of triangles within the activation distance, cached for one state."""
         if self._apart(vertices, by=self.barrier.dhat):
             return ipctk.NormalCollisions()
         known, pairs = self._last.get("pairs", (None, None))
@@ -203,7 +204,7 @@ class SelfContact:
         return sparse.kron(self.sampling, sparse.eye_array(3), format="csr")
 
     def smallest_gap(self, position: Array) -> float:
-        """Return the smallest distance in m between the lower and the upper inner wall.
+        """Return the smallest distance in m between the lower and the upper part of the inner wall.
 
         Parameters
         ----------
@@ -212,8 +213,8 @@ class SelfContact:
 
         Notes
         -----
-        The distance is that between the parts whose undeformed normals are within `FACING_ANGLE`
-        of the vertical, where a lumen pressed from above closes first.
+        The parts are those whose undeformed normals are within `FACING_ANGLE` of the vertical:
+        there a lumen pressed from above closes first.
         """
         vertices = self.sampling @ position
         lower, upper = self._facing
@@ -226,7 +227,7 @@ class SelfContact:
 
     @cached_property
     def _facing(self) -> tuple[Index, Index]:
-        """Vertex numbers of the lower and of the upper wall."""
+        """Vertex numbers of the lower and of the upper part of the inner wall."""
         normal = vertex_normals(np.asarray(self.mesh.rest_positions), self.faces)
         upright = np.abs(normal[:, 1]) > np.cos(FACING_ANGLE)
         low = np.asarray(self.mesh.rest_positions)[:, 1]
@@ -241,7 +242,9 @@ class SelfContact:
         return float(np.median(np.linalg.norm(sides, axis=-1).max(axis=1))) * self.length
 
     def collision_free_fraction(self, start: Array, end: Array) -> float:
-        """Return the fraction of a step, from 0 to 1, that is free of collisions.
+        """Return the fraction of a step, from 0 to 1, that can be taken without collision.
+
+        It is 1 without a collision, else `STEP_SAFETY_FACTOR` times the fraction up to the first.
 
         Parameters
         ----------

@@ -66,9 +66,9 @@ MIN_QUALITY = 0.01
 Meshes of a round and of a D-shaped bore had 0.045 to 0.2; below the limit, a single element stops
 the solver."""
 MAX_OFF_SURFACE = 0.01
-"""Largest fraction of a wall's nodes off its surface (which would distort their elements).
+"""Largest fraction of a wall's nodes off its surface, above which another mesh is tried.
 
-No node may be off a plane."""
+Nodes stay off the surface where they would distort their elements. No node may be off a plane."""
 ATTEMPTS = 6
 """Largest number of meshes tried. About one in twenty has a flat element next to a plane, and one
 in twelve has more than `MAX_OFF_SURFACE` of a wall's nodes off its surface."""
@@ -80,6 +80,7 @@ arguments = {name: a if a.ndim else a.item() for name, a in numpy.load("in.npz")
 points, tetrahedra = pytetwild.tetrahedralize(**arguments)
 numpy.savez("out.npz", points=points, tetrahedra=tetrahedra)
 """
+"""Program of the child process that calls pytetwild."""
 STOP_ENERGY = 15.0
 """Distortion energy (AMIPS) of the worst tetrahedron at which fTetWild stops (a regular one: 3)."""
 SIZE_STATIONS = 33
@@ -140,6 +141,8 @@ def tetrahedral_mesh(
     ------
     ConfigError
         If the piece is longer than the tube, the wall is too thin, or the mesh is not sound.
+    SimulationError
+        If fTetWild fails, as on a surface that intersects itself.
     """
     size = size or TetrahedronSize()
     whole = separate_walls(surface)
@@ -192,14 +195,14 @@ def _cut(surface: trimesh.Trimesh, planes: Sequence[Plane]) -> trimesh.Trimesh:
 
 
 def _edge_lengths(z: Array, size: TetrahedronSize, height: float) -> Array:
-    """Return the requested edge lengths at stations along the tube, in wall thicknesses."""
+    """Return the edge lengths at stations z in m, in wall thicknesses, for a tube's height in m."""
     return np.interp(np.abs(z) / height, [size.near, size.far], [size.fine, size.coarse])
 
 
 def _tetrahedralised(
     piece: trimesh.Trimesh, z: Array, edge: Array, thickness: float
 ) -> tuple[Array, Index]:
-    """Fill a closed surface with tetrahedra of the edge lengths requested along z.
+    """Fill a closed surface with tetrahedra of edge lengths `edge` at stations `z`, all in m.
 
     Returns
     -------
@@ -228,10 +231,10 @@ def _tetrahedralised(
 
 
 def _in_child(**arguments: Any) -> tuple[Array, Index]:
-    """Run pytetwild in a child process, and return its result.
+    """Run pytetwild in a child process; return points (n_points, 3) and tetrahedra (n, 4).
 
-    It holds Python's global interpreter lock, so that interrupts would wait for minutes, writes a
-    file into the current folder, and may crash.
+    In this process pytetwild would hold the global interpreter lock, so that interrupts wait for
+    minutes, would write a file into the current folder, and might crash.
     """
     with tempfile.TemporaryDirectory() as folder:
         np.savez(Path(folder) / "in.npz", **arguments)
@@ -272,6 +275,7 @@ def qualities(points: Array, elements: Index) -> Array:
     Parameters
     ----------
     points : array of shape (n_nodes, 3)
+        In m.
     elements : array of int, shape (n_elements, 10)
 
     Returns

@@ -139,7 +139,7 @@ def symmetries(
     piece : trimesh.Trimesh
         In m.
     asked : tuple of bool
-        Symmetry of the load; false where it is not symmetric.
+        Symmetry of the load about x = 0, and about z = 0; where false, the result is false too.
     tolerance : float
         Largest distance of the piece from its mirror image, in m.
     """
@@ -166,6 +166,8 @@ def check_thickness(piece: trimesh.Trimesh, whole: Walls, edge: Array) -> None:
     Raises
     ------
     ConfigError
+        If the wall is thinner than :data:`MIN_THICKNESS` somewhere, or would need more than
+        :data:`MAX_TETRAHEDRA` tetrahedra.
     """
     inside = _sampled(whole.inner)
     least = np.linalg.norm(closest(whole.outer, inside) - inside, axis=1).min()

@@ -35,6 +35,7 @@ lumen of the default tube is closed; without the penalty the folds crease."""
 ANGULAR_POWER = 8
 """Power of the sine of the angle from the bottom line, the weight that favours the sides."""
 SIXTH_DIFFERENCE = np.array([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0])
+"""Coefficients of the sixth central difference."""
 
 
 def stiffness(mesh: Mesh, shear_modulus: float) -> sparse.csr_array:

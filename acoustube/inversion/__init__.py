@@ -8,11 +8,11 @@ along a tube), `quantiser` (rounded samples), `baseband` and `folded` (cycles of
 parameters, prior odds of a press), `likelihood` (covariance and whitening), `fit` (maxima of the
 likelihood), `search` (candidates), `hypotheses` (sets of presses), `peeling` (presses in the order
 of time), `doubt` (whether one more press is real), `other_depths`, `model_error`, `posterior`,
-`detection` (limit of detection) and `estimate` (the public function); `two_ends` (a rangefinder at
-each end). For streams: `motion` (the filter), `proposals` and `births` (new contacts), `fewer`
-(one contact in place of two), `cycle` and `tracks` (one hypothesis, updated by each cycle) and
-`tracking`. Packages: `twin` (parameters of a rangefinder from recordings) and `design` (expected
-accuracy of a sensor).
+`detection` (limit of detection) and `estimate` (inversion of a recording); `two_ends` (a
+rangefinder at each end). For streams: `motion` (the filter), `proposals` and `births` (new
+contacts), `fewer` (fits with fewer contacts), `cycle` and `tracks` (one hypothesis, updated by each
+cycle) and `tracking`. Packages: `twin` (parameters of a rangefinder from recordings) and `design`
+(expected accuracy of a sensor).
 """
 
 from acoustube.inversion.baseband import Baseband

@@ -1,4 +1,4 @@
-"""Complex baseband of a rangefinder's cycles, and the known factors of its spectrum."""
+"""Complex baseband of a rangefinder's cycles, and the known factors of an echo's spectrum."""
 
 from __future__ import annotations
 
@@ -26,14 +26,16 @@ from acoustube.waves.modes.grid_modes import mode_numbers
 from acoustube.waves.scattering import Complex
 
 HALF_WIDTH = 1 / 7
-"""Half the width of the band over the carrier frequency: 36 to 48 kHz about 42 kHz."""
+"""Half width of the inverted band, relative to the carrier frequency: 36 to 48 kHz about 42 kHz."""
 CHIRP_BAND = 0.6
-"""Half the width of the band over the bandwidth of the drive, where that gives a wider band."""
+"""Half width of the inverted band, relative to the bandwidth of the drive. It applies where this
+band is wider than that of :data:`HALF_WIDTH`."""
 TAPER = 1 / 6
 """Fraction of the band over which each of its ends is tapered."""
 AFTER_CLIPPING, FADE, SETTLED = 0.1e-3, 0.2e-3, 0.3e-3
-"""Times in s: from the end of clipping to the start of the fade-in of the samples, duration of the
-fade-in, and from its end to the first sample of the baseband that is used."""
+"""Times in s: `AFTER_CLIPPING` is from the end of clipping to the start of the samples' fade-in,
+`FADE` is the duration of the fade-in, and `SETTLED` is from its end to the first sample of the
+baseband that is used."""
 DITHER = 0.1
 """Rms noise in counts below which the rounding error is not white."""
 QUIET_SHARE = 0.3
@@ -43,6 +45,8 @@ CYCLE = Number(2, 1e6, "samples", whole=True)
 SLOWEST = 318.0
 """Speed of sound in m/s at -21 degC, which sets the end of the window. The window is the same at
 all temperatures, so that clutter learned at one temperature can be used at another."""
+OWN_LENGTH = 0.03
+"""Length in m of the part of the tube that a press deforms: closer presses deform the same part."""
 FEWEST_CYCLES = 8
 """Least number of cycles whose noise is estimated from their scatter."""
 
@@ -63,6 +67,17 @@ class Baseband:
         Number of samples in a cycle; that of the rangefinder by default.
     wrap : Wrap, optional
         Curvature and torsion of a wrapped tube; the tube is straight by default.
+
+    Attributes
+    ----------
+    frequency : ndarray
+        Frequencies of the band in Hz, (n_f,).
+    time, used : ndarray
+        Times in s of all baseband samples, (n_f,), and indices of those that are used, (n_time,).
+    k, k_by_temperature : ndarray
+        Wavenumbers of `modes` in 1/m, and their derivatives in 1/(m K), (n_f, n_modes).
+    gain : ndarray
+        Gain from reflection coefficient to recorded spectrum, in counts s, (n_f,).
 
     Raises
     ------
@@ -162,6 +177,11 @@ class Baseband:
         """Distances in m whose echoes arrive at the times of :attr:`window`, (n_time,)."""
         return self.path.place_at(np.maximum(self.window - self.rangefinder.lead, 0.0))
 
+    @cached_property
+    def half_wavelength(self) -> float:
+        """Half a wavelength at the middle of the band, in m."""
+        return self.air.sound_speed / (2 * float(np.mean(self.frequency)))
+
     @property
     def interval(self) -> float:
         """Interval in s between samples of the baseband."""
@@ -171,25 +191,26 @@ class Baseband:
     def nearest(self) -> float:
         """Distance in m of the nearest press whose echo is not clipped."""
         flight = self.clear - self.rangefinder.lead + AFTER_CLIPPING + FADE
-        return 0.5 * self.air.sound_speed * flight + 0.03
+        return 0.5 * self.air.sound_speed * flight + OWN_LENGTH
 
     def echo_ranges(self, places: Array, before: float, lasting: float, n: int) -> NDArray[np.int_]:
-        """Return the ranges of samples, among the first n, that the echoes of presses cover.
+        """Return the ranges of baseband samples that the echoes of presses cover.
 
         Parameters
         ----------
         places : ndarray
-            Distances in m, (n_places,).
+            Distances of the presses in m, (n_places,).
         before, lasting : float
             Times in s by which a range begins before the arrival of the echo, and ends after the
             arrival of the end of the drive.
         n : int
-            Number of samples.
+            Number of samples, counted from the first used one, to which the ranges are limited.
 
         Returns
         -------
         ndarray
-            First sample and the one after the last, at least two samples apart, (n_places, 2).
+            Index of the first sample and of the one after the last, at least two apart,
+            (n_places, 2).
         """
         arrival = np.interp(places, self.places, np.arange(len(self.used)))
         first = (arrival - before / self.interval).astype(int)
@@ -202,7 +223,7 @@ class Baseband:
         """Return the variance of a baseband sample of the mean of cycles, in counts squared.
 
         Thermal noise and quantisation error are white and independent from cycle to cycle. Without
-        noise as dither, the rounding error has the frequencies of the signal, all in the band.
+        noise as dither, the whole rounding error is at the frequencies of the signal, in the band.
         """
         sigma = self.rangefinder.noise * self.per_volt
         variance, band = sigma**2, len(self.bins) * self.step / (self.rate / 2)
@@ -212,7 +233,7 @@ class Baseband:
 
     @checked(counts=Reals(ndim=2))
     def of_cycles(self, counts: NDArray[np.generic]) -> tuple[Complex, float]:
-        """Return the mean of cycles in the baseband, and the variance of its samples.
+        """Return the baseband of the mean of cycles, and the noise variance of a sample of it.
 
         Parameters
         ----------
@@ -224,7 +245,13 @@ class Baseband:
         mean : ndarray
             In counts, with the rounding of weak signals corrected, (n_time,).
         variance : float
-            From the scatter of the cycles within the band; for few cycles from :meth:`noise`.
+            In counts squared: from the scatter of the cycles within the band, or from :meth:`noise`
+            for fewer than :data:`FEWEST_CYCLES` cycles.
+
+        Raises
+        ------
+        ConfigError
+            If there is no cycle, or cycles have another length than `n_samples`.
         """
         counts = np.asarray(counts)
         n = len(counts)
@@ -243,7 +270,7 @@ class Baseband:
         return mean, float(max(scatter, 0.1 * self.noise(n)))
 
     def ring_down(self) -> Complex:
-        """Return the ring-down in the baseband, computed from the rangefinder's parameters."""
+        """Return the baseband of the ring-down from the rangefinder's parameters, (n_time,)."""
         n = self.period
         real = np.asarray(np.fft.rfftfreq(n, 1 / self.rate)[1:], float)
         f = real.astype(complex)
@@ -255,7 +282,7 @@ class Baseband:
         return self._of_samples(samples)
 
     def transformed(self, spectrum: Complex) -> Complex:
-        """Return the baseband (..., n_time) of spectra (..., n_f) in counts times seconds."""
+        """Return the baseband in counts, (..., n_time), of spectra in counts s, (..., n_f)."""
         scale = 2 * len(self.bins) * self.step
         taper = (scale * self.taper).astype(spectrum.real.dtype)
         return np.asarray(np.fft.ifft(spectrum * taper, axis=-1)[..., self.used])
@@ -264,14 +291,14 @@ class Baseband:
         """Return the adjoint of :meth:`transformed` applied to samples: spectra (..., n_f).
 
         The inner product of the result with a spectrum is that of the samples with the baseband of
-        the spectrum. The samples are all or the first ones, (..., n).
+        the spectrum. Samples (..., n) may be only the first n of n_time; the others count as zero.
         """
         full = np.zeros((*samples.shape[:-1], len(self.bins)), complex)
         full[..., self.used[: samples.shape[-1]]] = samples
         return np.asarray(2 * self.step * self.taper * np.fft.fft(full, axis=-1))
 
     def press_gain(self, detuned: Array) -> tuple[Complex, Complex, Complex]:
-        """Return the gain from reflection coefficient to counts of a detuned transducer.
+        """Return the gain from reflection coefficient to recorded spectrum, by detuned transducers.
 
         Parameters
         ----------
@@ -293,13 +320,6 @@ class Baseband:
         slope = -2 * value * response * 1j
         by_resonance = slope * quality * (-f / resonance**2 - 1 / f) * r.resonance
         return value, by_resonance, slope * off * r.quality_factor
-
-    def reflector_scale(self, places: Array) -> Array:
-        """Return standard deviations of reflectors, clutter and far end, at places (n,) in m."""
-        r = self.rangefinder
-        deviation = np.full(len(places), np.sqrt(max(r.clutter, 1e-12) * 1e-3))
-        deviation[places > self.length - 0.02] = abs(r.far_reflection) / 2
-        return deviation
 
     def _of_samples(self, samples: Array) -> Complex:
         time = np.arange(samples.shape[-1]) / self.rate
@@ -345,7 +365,7 @@ class Baseband:
 
 
 def is_compressed(rangefinder: Rangefinder) -> bool:
-    """Return whether a rangefinder's drive is longer than the reciprocal of its bandwidth."""
+    """Return whether echoes are compressed: bandwidth times duration of the drive exceeds 1."""
     drive = rangefinder.drive
     return getattr(drive, "bandwidth", 0.0) * drive.duration > 1
 
@@ -358,7 +378,7 @@ def half_width(rangefinder: Rangefinder) -> float:
 
 
 def _edges(n: int, width: int) -> Array:
-    """Return a taper of n samples that rises and falls at its ends as a squared sine."""
+    """Return a taper of n samples that rises and falls over `width` samples as a squared sine."""
     rise = np.sin(pi / 2 * (np.arange(width) + 0.5) / width) ** 2
     found = np.ones(n)
     found[:width], found[n - width :] = rise, rise[::-1]

@@ -1,4 +1,8 @@
-"""Candidates for one additional contact, as branches that are to be fitted to a cycle."""
+"""Candidates for one additional contact, as starting points of fits to a cycle.
+
+A branch is one normal distribution of the state, see :mod:`acoustube.inversion.motion`. Here it is
+the known state with a candidate added.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +31,7 @@ LANDING = 0.01
 def candidates(
     proposals: list[Proposals], motion: Motion, branches: Branches, rest: Complex, whiten: Weights
 ) -> list[Branches]:
-    """Return branches with one additional contact, for each rank along the tube and each tool.
+    """Return branches with one additional contact, from which fits to a cycle start.
 
     Parameters
     ----------
@@ -35,9 +39,17 @@ def candidates(
         One for each tool.
     motion : Motion
     branches : Branches
+        Branches without the contact, the best first.
     rest : ndarray
         Residual of a cycle with the best branch, (n_time,).
     whiten : Weights
+        Weights of the residual.
+
+    Returns
+    -------
+    list of Branches
+        One for each tool and each index of the contact along the tube for which there are
+        candidates, with a branch for each candidate.
     """
     fronts, places, warm = fronts_of(proposals[0].model, branches)
     found: list[Branches] = []
@@ -56,9 +68,16 @@ def candidates(
 
 
 def fronts_of(model: ForwardModel, branches: Branches) -> tuple[list[Front], Array, float]:
-    """Return the waves behind the contacts of the best branch, positions (m) and temperature (K).
+    """Return the waves behind the contacts of the best branch, their positions and a temperature.
 
-    The waves are the fields that the contacts transmit, in their order along the tube.
+    Returns
+    -------
+    fronts : list of Front
+        Waves that the contacts transmit, in the order of the contacts along the tube.
+    places : ndarray
+        Positions of the contacts in m, (n_contacts,).
+    temperature : float
+        Deviation of the air's temperature in K.
     """
     places, depths, own = split(branches.mean[:1, : branches.parameters])
     fronts: list[Front] = []
@@ -68,20 +87,19 @@ def fronts_of(model: ForwardModel, branches: Branches) -> tuple[list[Front], Arr
 
 
 def new_deviations(motion: Motion) -> Array:
-    """Return the standard deviations of a candidate's position, depth (m) and velocities (m/s)."""
+    """Return standard deviations of a candidate's position, depth (m), velocities (m/s), (4,)."""
     return np.array([*START, LANDING, motion.sink])
 
 
 def uniform(model: ForwardModel, tool: int) -> float:
-    """Return the log ratio of a contact's prior area, position times depth, to that of `START`."""
+    """Return the log ratio of a contact's uniform prior area to that of a candidate's distribution.
+
+    The first area is the range of position times that of depth. The second is 2 pi times the
+    product of the standard deviations :data:`START`.
+    """
     low, high = model.tables[tool].range
     volume = float(np.ptp(model.span)) * (high - low)
     return float(np.log(volume / (2 * np.pi * START[0] * START[1])))
-
-
-def half_wavelength(model: ForwardModel) -> float:
-    """Return half a wavelength at the middle of the band, in m."""
-    return model.base.air.sound_speed / (2 * float(np.mean(model.base.frequency)))
 
 
 def with_shifts(
@@ -93,7 +111,7 @@ def with_shifts(
     samples: Complex,
     whiten: Weights,
 ) -> Update:
-    """Return fits of a new contact, also one and two half wavelengths away, the best first.
+    """Return `best` and fits with the new contact one and two half wavelengths away, best first.
 
     Parameters
     ----------
@@ -109,7 +127,7 @@ def with_shifts(
         Baseband of the cycle, (n_time,).
     whiten : Weights
     """
-    steps = half_wavelength(model) * np.array([-2, -1, 1, 2])
+    steps = model.base.half_wavelength * np.array([-2, -1, 1, 2])
     place, depth = best.branches.mean[0, 2 * rank : 2 * rank + 2]
     start = fewer.added(
         rank, best.branches.tools[rank], place + steps, np.full(4, depth), new_deviations(motion)
@@ -120,7 +138,7 @@ def with_shifts(
 
 
 def rank_of(fewer: Branches, more: Branches) -> int:
-    """Return the index, along the tube, of the added contact."""
+    """Return the index along the tube of the contact that `more` has in addition to `fewer`."""
     old = fewer.mean[0, : 2 * len(fewer.tools) : 2]
     new = more.mean[0, : 2 * len(more.tools) : 2]
     return int(np.argmin([np.abs(np.delete(new, i) - old).sum() for i in range(len(new))]))

@@ -1,4 +1,4 @@
-"""Clutter and ring-down of a tube: from untouched cycles, or Gaussian with a stated density."""
+"""Clutter and ring-down of a tube: from untouched cycles, or Gaussian of a stated power density."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ SPACING = 1e-3
 """Spacing in m of the reflectors that represent the irregularities of a tube: a quarter wavelength
 at 85 kHz."""
 CELL = 0.02
-"""Spacing in m of the positions for which the clutter beyond them is tabulated."""
+"""Step in m of the table of the clutter beyond a position."""
 WARM, WARM_STEP = 1.5, 0.1
-"""Half range and step in K of the temperature deviations for which the clutter is tabulated."""
+"""Largest magnitude and step in K of the temperature deviations in the table of the clutter."""
 RING_DEVIATION = 0.3
 """Relative standard deviation of the ring-down's level where it is not measured."""
 FAR_DEVIATION = 0.01
@@ -28,19 +28,22 @@ FAR_DEVIATION = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Clutter:
-    """Reflections of the untouched tube.
+    """Clutter and ring-down of the untouched tube, and the covariance of their unknown part.
 
     Attributes
     ----------
     behind : ndarray or None
-        Reflection coefficient, referred to the face, of the tube beyond a position, for
-        temperatures and positions, (n_t, n_z, n_f); None if only its statistics are known.
+        Reflection coefficient, referred to the face, of the untouched tube beyond a position,
+        (n_t, n_z, n_f). The n_t temperature deviations are :data:`WARM_STEP` apart, up to plus and
+        minus :data:`WARM`, and the n_z positions are multiples of :data:`CELL`. None if only its
+        statistics are known.
     warmer : ndarray or None
-        Derivative of `behind` by temperature in 1/K.
+        Derivative of `behind` by temperature in 1/K; None if `behind` is.
     ring : ndarray
-        Ring-down in the baseband, (n_time,).
+        Ring-down in the baseband in counts, (n_time,).
     covariance : ndarray
-        Covariance of the unknown part of clutter and ring-down in the baseband, (n_time, n_time).
+        Covariance of the unknown part of clutter and ring-down in the baseband, in counts squared,
+        (n_time, n_time).
     """
 
     behind: Complex | None
@@ -51,12 +54,14 @@ class Clutter:
     def beyond(self, place: Array, temperature: Array) -> tuple[Complex, Complex, Complex]:
         """Return the reflection of the tube beyond positions, and its derivatives.
 
+        `behind` must not be None. Beyond the table, the values at its edge are returned.
+
         Parameters
         ----------
         place : ndarray
             Distances from the face in m, (n,).
         temperature : ndarray
-            Deviations in K, (n,).
+            Deviations from the baseband's temperature in K, (n,).
 
         Returns
         -------
@@ -86,7 +91,11 @@ class Clutter:
 
 @checked(base=Baseband)
 def unknown_clutter(base: Baseband) -> Clutter:
-    """Return clutter of which only the power density is known, as the rangefinder states it."""
+    """Return clutter of which only the power density is known, as the rangefinder states it.
+
+    The ring-down is computed from the rangefinder's parameters; the deviation of its level is
+    :data:`RING_DEVIATION`.
+    """
     _, shapes = _reflectors(base)
     ring = base.ring_down()
     covariance = shapes @ shapes.conj().T + RING_DEVIATION**2 * np.outer(ring, ring.conj())
@@ -102,21 +111,26 @@ def measured_clutter(
     Parameters
     ----------
     base : Baseband
-        At the temperature of these cycles.
+        Baseband at the temperature of these cycles.
     counts : ndarray
         Counts of the cycles, (n_cycles, n_samples).
     at : Baseband, optional
-        At the temperature for which the clutter is returned, that of the cycles by default.
+        Baseband at the temperature for which the clutter is returned; `base` by default.
 
     Returns
     -------
     Clutter
 
+    Raises
+    ------
+    ConfigError
+        If there is no cycle, or cycles have another length than the baseband's.
+
     Notes
     -----
     The level of the ring-down is fitted by weighted least squares. Then reflectors along the tube,
-    Gaussian a priori, are estimated by Wiener's filter. Where there is nothing but clutter within
-    the resolution of the band, its posterior covariance is that of the noise of the mean.
+    Gaussian a priori, are estimated by Wiener's filter. Where the clutter is far above the noise of
+    the cycles' mean, its posterior covariance is that of this noise.
     """
     return reflectors(base, counts).clutter(at or base)
 
@@ -143,8 +157,8 @@ class Reflectors:
     def clutter(self, at: Baseband) -> Clutter:
         """Return the clutter at the temperature of a baseband.
 
-        The reflection of each reflector is referred to the face. The reflections are then summed
-        from the far end to each position.
+        The reflection coefficient of each reflector is multiplied by the plane wave's propagation
+        factor from the face and back. The products are summed from the far end to each position.
         """
         first = np.searchsorted(self.places, np.arange(0, at.length + CELL, CELL))
         phase, heated = at.path.plane(self.places)
@@ -172,17 +186,28 @@ def reflectors(base: Baseband, counts: NDArray[np.generic]) -> Reflectors:
     weight = (shape.conj() @ inverse @ shape).real
     level = shape.conj() @ inverse @ mean / weight if weight > 0 else 0.0
     strength = shapes.conj().T @ (inverse @ (mean - level * shape))
-    scale = np.asarray(strength * base.reflector_scale(places), complex)
+    scale = np.asarray(strength * _scale(base, places), complex)
     known = shapes @ strength
     return Reflectors(
         places, np.asarray(scale, complex), mean - known, prior - prior @ inverse @ prior
     )
 
 
+def _scale(base: Baseband, places: Array) -> Array:
+    """Return the prior standard deviations of reflection coefficients at places in m, (n,).
+
+    Reflectors near the tube's end represent the far end, all others the clutter.
+    """
+    clutter = max(base.rangefinder.clutter, 1e-12)  # reflected power per m
+    deviation = np.full(len(places), np.sqrt(clutter * SPACING))
+    deviation[places > base.length - 2 * FAR_DEVIATION] = abs(base.rangefinder.far_reflection) / 2
+    return deviation
+
+
 def _reflectors(base: Baseband) -> tuple[Array, Complex]:
-    """Return the positions of the reflectors and their echoes of unit variance, (n_time, n)."""
+    """Return reflectors' positions in m, and echoes at one prior deviation each, (n_time, n)."""
     places = np.arange(0.5 * SPACING, base.length - 2 * FAR_DEVIATION, SPACING)
     end = base.length + FAR_DEVIATION * np.array([-1.5, -0.5, 0.5, 1.5])
     places = np.concatenate([places, end])
     waves = np.exp(-2j * base.path.plane(places)[0])
-    return places, base.transformed((base.gain[:, None] * waves * base.reflector_scale(places)).T).T
+    return places, base.transformed((base.gain[:, None] * waves * _scale(base, places)).T).T

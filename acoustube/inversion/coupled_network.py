@@ -17,7 +17,7 @@ from acoustube.waves.scattering import Complex
 def coupled_echo(
     presses: list[Joined], sections: list[Section], face: complex, entry: Entry | None = None
 ) -> Echo:
-    """Return the echo of presses at the face of the source.
+    """Return the echo that presses along a wrapped tube cause at the face of the source.
 
     Parameters
     ----------
@@ -33,13 +33,15 @@ def coupled_echo(
     Returns
     -------
     Echo
-        Its value is (p - 1) / (1 + face), where p is the pressure of the plane wave at the face.
+        Its value is (p - 1) / (1 + face), where p is the pressure of the plane wave at the face
+        over the launched pressure.
     """
     blocks = [_blocks(press.value) for press in presses]
     paths = [section.factor for section in sections]
     eye = np.eye(paths[0].shape[-1])
     # From the last press to the face: the reflection in front of each press and, for the multiple
-    # reflections behind it, the inverse of I - B R2, where B is the reflection of all that follows.
+    # reflections behind it, the inverse of I - B R2. B is the reflection of all that follows, and
+    # R2 that of the press from behind.
     loads: list[Complex] = []
     loops: list[tuple[Complex, Complex] | None] = []
     behind: Complex | None = None
@@ -87,10 +89,11 @@ def coupled_echo(
 def _at_face(
     load: Complex, face: complex, entry: Entry | None
 ) -> tuple[Complex, Complex, Complex, Complex]:
-    """Return the echo at the face, the entry's part of its derivative by temperature, and waves.
+    """Return the echo at the face, its derivative by the entry's temperature, and two vectors.
 
-    The waves are the row vector of those that reach the face from the start of the first section,
-    and the column vector of those that arrive at this start from the face.
+    The first vector is the row of factors with which the modes that leave the start of the first
+    section towards the face are received. The second is the column of the modes' amplitudes that
+    arrive at this start from the face. Both are (n, n_f, m).
     """
     at_face = load if entry is None else entry.matrix.swapaxes(-1, -2) @ load @ entry.matrix
     eye = np.eye(at_face.shape[-1])

@@ -18,9 +18,9 @@ class Cycle(NamedTuple):
     number : int
         Number of the cycle, from 0.
     samples : ndarray
-        Baseband, (n_time,).
+        Baseband in counts, (n_time,).
     noise : float
-        Variance of the noise of a sample.
+        Variance of the noise of a sample, in counts squared.
     """
 
     number: int
@@ -35,12 +35,14 @@ class Known:
     Attributes
     ----------
     number : int
+        Number of the contact, from 0 in the order of appearance.
     odds : float
         Logarithm of the odds that the contact is real.
     age : int
         Age in cycles.
     faint : int
-        Number of tests since the contact was deeper than the first depth of the library.
+        Number of tests in a row in which the depth exceeded the library's least depth by less than
+        `FAINT` of :mod:`acoustube.inversion.tracks`.
     """
 
     number: int

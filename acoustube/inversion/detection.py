@@ -30,9 +30,9 @@ from acoustube.waves.scattering import Complex
 STEP = 0.5e-3
 """Spacing in m of the depths that are tried; the evidence is interpolated between them."""
 ALONG = 0.013
-"""Spacing in m of positions, each of which is given the largest limit of itself and its neighbours.
-Behind a press its modes beat over 2 and 4 cm; at three positions the beats have phases 110 to 130
-degrees apart."""
+"""Spacing in m of positions along the tube. Each is given the largest limit of itself and its two
+neighbours. Behind a press the modes beat over 2 and 4 cm; at the three positions the beats have
+phases 110 to 130 degrees apart."""
 NORMAL_QUANTILE = 1.28
 """Margin of a press at the limit, in standard deviations of the deviance that it explains: its
 probability of detection is then 0.9 if errors are normal with the covariance of the weights."""
@@ -49,9 +49,9 @@ def detection_limit(
     known : Hypothesis
         The detected presses, none or more.
     noise : float
-        Variance of a sample of the mean of cycles.
+        Variance of a sample of the mean of cycles, in counts squared.
     tool : int
-        Number in the library of the tool of the further press.
+        Number in the library, from 0, of the tool of the further press.
     places : ndarray
         Distances from the face in m, (n,).
 
@@ -93,11 +93,11 @@ class _Known(NamedTuple):
     parameters : ndarray
         (1, n_parameters).
     whiten : Weights
-        Weights for one additional press.
+        Weights with which a further press is judged.
     value : ndarray
-        Baseband of the model, (1, n_time).
+        Baseband of the model in counts, (1, n_time).
     slopes : ndarray
-        Its derivatives, whitened, (1, n_parameters, n_time).
+        Derivatives of `value` by the parameters, whitened, (1, n_parameters, n_time).
     information : ndarray
         Half the Hessian of the cost, (n_parameters, n_parameters).
     """
@@ -119,12 +119,12 @@ def _linearised(model: ForwardModel, known: Hypothesis, noise: float) -> _Known:
 
 
 def limits_along(limit: Callable[[Array], Array], span: tuple[float, float]) -> tuple[Array, Array]:
-    """Return positions along the tube, and for each the largest limit of it and its neighbours.
+    """Return positions, each with the largest limit of detection of itself and its neighbours.
 
     Parameters
     ----------
     limit : callable
-        Returns the limits in m at positions in m, both (n,).
+        Takes positions in m and returns the limits of detection there in m, both (n,).
     span : (float, float)
         Nearest and farthest position in m.
 
@@ -143,9 +143,10 @@ def limits_along(limit: Callable[[Array], Array], span: tuple[float, float]) -> 
 
 
 def _surplus(model: ForwardModel, known: _Known, press: tuple[int, float], depths: Array) -> Array:
-    """Return the excess over its cost of the deviance that a further press explains, (n,).
+    """Return the deviance that a further press explains, less its cost, at depths in m, (n,).
 
-    The margin of :data:`NORMAL_QUANTILE` standard deviations is subtracted.
+    The margin of :data:`NORMAL_QUANTILE` standard deviations is subtracted too. `press` is the
+    number of the tool, and the position in m.
     """
     tool, place = press
     own, deep, nuisances = (np.repeat(one, len(depths), 0) for one in split(known.parameters))
@@ -170,7 +171,8 @@ def _surplus(model: ForwardModel, known: _Known, press: tuple[int, float], depth
 def _absorbed(information: Array, toward: Complex) -> Array:
     """Return the part of an echo's deviance that a change of the known parameters explains, (n,).
 
-    It is the largest over the phase of the echo, which turns once in half a wavelength of position.
+    The largest value over the phase of the echo is returned. This phase turns once when the
+    position changes by half a wavelength.
 
     Parameters
     ----------
@@ -185,7 +187,7 @@ def _absorbed(information: Array, toward: Complex) -> Array:
 
 
 def _information(model: ForwardModel, slopes: Complex) -> Array:
-    """Return half the Hessian of the cost, (n, p, p), from whitened derivatives."""
+    """Return half the Hessian of the cost, (n, p, p), from whitened derivatives (n, p, n_time)."""
     found = 2 * (slopes.conj() @ slopes.swapaxes(1, 2)).real
     own = np.arange(found.shape[1])[-len(NUISANCES) :]
     found[:, own, own] += 1 / model.priors.deviations**2
@@ -193,7 +195,7 @@ def _information(model: ForwardModel, slopes: Complex) -> Array:
 
 
 def _limit(depths: Array, surplus: Array) -> float:
-    """Return the depth beyond which the surplus stays positive."""
+    """Return the depth in m beyond which the surplus stays positive, inf if there is none."""
     hidden = np.flatnonzero(~(surplus > 0))
     if not len(hidden):
         return float(depths[0])

@@ -18,20 +18,21 @@ from acoustube.inversion.likelihood import Weights, echo_of, weights
 from acoustube.inversion.model import ForwardModel
 
 SAMPLES = 10
-"""Samples of an echo over which its error is correlated: 0.8 ms, because of trapped sound."""
+"""Number of samples over which an echo's error is correlated: 0.8 ms, because of trapped sound."""
 LEAST, BENT_LEAST, LARGEST = 0.02, 0.06, 0.1
-"""Least relative errors of the model that are assumed, on a straight and on a wrapped tube, and the
-largest. Two solvers or meshes differ by the first near closure, echoes on a sleeve by the second
-next to a cut-on. An error above the largest is due to presses that are not detected yet."""
+"""Limits of the relative error of the model that is assumed. `LEAST` is the lower one on a straight
+tube: two solvers or meshes differ by as much near closure. `BENT_LEAST` is that on a wrapped tube:
+echoes next to a cut-on differ by as much. `LARGEST` is the upper one: a larger error is due to
+presses that are not detected yet."""
 SMALL_ERROR = 0.01
-"""Error of the model with one additional press up to which it is taken as the true error: a larger
-error without this press is then the effect of the missing press."""
+"""Relative error of the fit with one additional press up to which it is taken as that of the model.
+A larger error of the fit without this press is then due to its absence."""
 ITERATIONS = 6
 """Iterations of each fit with these weights."""
 
 
 def doubt_weights(model: ForwardModel, known: Hypothesis, noise: float, seen: float) -> Weights:
-    """Return the weights with which one additional press is judged.
+    """Return the weights with which one additional press is judged, for an enlarged model error.
 
     Parameters
     ----------
@@ -39,9 +40,9 @@ def doubt_weights(model: ForwardModel, known: Hypothesis, noise: float, seen: fl
     known : Hypothesis
         Hypothesis of one press or more.
     noise : float
-        Variance of a sample of the mean of cycles.
+        Variance of a sample of the mean of cycles, in counts squared.
     seen : float
-        Estimated relative error of the model.
+        Estimated relative error of the model, before it is limited and enlarged.
     """
     least = BENT_LEAST if model.path.converts else LEAST
     error = sqrt(SAMPLES) * min(max(seen, least), LARGEST)
@@ -50,7 +51,7 @@ def doubt_weights(model: ForwardModel, known: Hypothesis, noise: float, seen: fl
 
 
 def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis:
-    """Return a hypothesis with its evidence beyond the model error of one with fewer presses.
+    """Return a hypothesis whose evidence credits one more press only beyond errors of the model.
 
     Parameters
     ----------
@@ -58,13 +59,13 @@ def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis
     fewer : Hypothesis
         Hypothesis of one press or more.
     more : Hypothesis
-        Hypothesis of more presses.
+        Hypothesis of one press more than `fewer`.
 
     Returns
     -------
     Hypothesis
-        `more` with the larger of two deviances: that of its own fits, and that of `fewer` plus the
-        change from `fewer` to `more` with the weights of :func:`doubt_weights`.
+        `more` with the larger of two deviances. One is that of its own fits. The other is that of
+        `fewer` plus the change from `fewer` to `more` with the weights of :func:`doubt_weights`.
     """
     model = builder.model
     seen = more.error if more.error <= SMALL_ERROR else fewer.error

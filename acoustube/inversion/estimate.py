@@ -19,7 +19,7 @@ from acoustube.inversion.hypotheses import HOPELESS, Builder, Hypothesis
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.model_error import Discrepancy, discrepancy
 from acoustube.inversion.parameters import odds_of, split
-from acoustube.inversion.peeling import EXPLAINED, peeled
+from acoustube.inversion.peeling import BEAM, EXPLAINED, peeled
 from acoustube.inversion.posterior import Estimate, Posterior
 from acoustube.inversion.search import Templates
 from acoustube.waves.scattering import Complex
@@ -32,14 +32,12 @@ contacts is reported to differ from the model."""
 GOOD = 0.05
 """Relative error of the model up to which a hypothesis is good, so that no other is followed."""
 EXCESS = 2.0
-"""Margin, in standard deviations of the energy of the noise, by which the energy of the residual
-has to exceed that of the noise."""
+"""Margin that is subtracted from the energy of the residual, besides the energy of the noise, in
+standard deviations of the latter. The rest counts as unexplained."""
 NEGLIGIBLE = 300.0
-"""Excess of a maximum's cost over the least above which it is left out of the posterior. The
-weights of maxima there allow for up to ten times the power of the model's error, so that the weight
-of such a maximum is at most exp(-15)."""
-BEAM = 2
-"""Number of hypotheses that are extended for each number of presses."""
+"""Excess of a maximum's cost over the least above which the maximum is left out of the posterior.
+The posterior allows for up to ten times the power of the model's error, so that the weight of such
+a maximum would be at most exp(-15)."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +53,7 @@ class Contact:
     force : Estimate
         Force in N.
     tool : int
-        Number of the tool in the library.
+        Number of the tool in the library, from 0.
     """
 
     probability: float
@@ -164,7 +162,7 @@ class Inverter:
     ----------
     model : ForwardModel
     most : int
-        Largest number of presses that is tried.
+        Largest number of presses that is tried, 1 to 8.
     """
 
     @checked(model=ForwardModel, most=Number(1, 8, whole=True))
@@ -185,7 +183,7 @@ class Inverter:
         Raises
         ------
         ConfigError
-            If the cycles have another length than the model's.
+            If there is no cycle, or cycles have another length than the model's.
         """
         array = np.asarray(counts)
         if array.shape[1] != self.model.base.n_samples:
@@ -298,7 +296,7 @@ def _unexplained(measured: Complex, explained: Complex, builder: Builder) -> flo
 
 
 def _shifted(builder: Builder, found: list[Hypothesis]) -> list[Hypothesis]:
-    """Return hypotheses by rising deviance, the likeliest with maxima half wavelengths away."""
+    """Return hypotheses by rising deviance; maxima half wavelengths away are added to the best."""
     found = sorted(found, key=lambda one: one.deviance)
     best = [found[0], *_others(found[0], found)]
     rest = [one for one in found if one not in best]
@@ -316,10 +314,12 @@ def _sought_again(builder: Builder, known: Hypothesis) -> Hypothesis:
 
 
 def _pruned(builder: Builder, chain: list[Hypothesis]) -> list[Hypothesis]:
-    """Return a chain in which no hypothesis is worse than the next one less one of its presses.
+    """Return a chain in which no hypothesis is worse than the next one with a press left out.
 
-    A press may have fitted an error of the others, which were improved in the fit with it.
-    Hypotheses of more presses are then judged again by what they explain beyond the better one.
+    An additional press may fit an error of the others, and the joint fit may then correct the
+    others. Without that press they may be better than the hypothesis found before, and replace it.
+    Hypotheses of more presses are then judged again by what they explain beyond the better one. The
+    chain is changed in place.
     """
     given = list(chain)
     for number in range(len(chain) - 1, 1, -1):

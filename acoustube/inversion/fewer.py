@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from acoustube.base.types import Array
-from acoustube.inversion.births import fronts_of, half_wavelength, new_deviations, with_shifts
+from acoustube.inversion.births import fronts_of, new_deviations, with_shifts
 from acoustube.inversion.likelihood import Weights
 from acoustube.inversion.model import ForwardModel, Priors
 from acoustube.inversion.motion import Branches, Motion, Update, updated
@@ -27,13 +27,13 @@ from another starting point."""
 UNUSUAL = -4.0
 """Logarithm of the prior odds of a maximum other than the one that is tracked."""
 BEFORE, BEHIND = 0.03, 0.01
-"""Distances in m before two neighbours and behind them, within which one is sought instead."""
+"""Distances in m before two neighbours and behind them within which a single contact is sought."""
 ITERATIONS = 4, 5
-"""Iterations of the fits of the remaining contacts, and of one contact in place of two."""
+"""Numbers of iterations: of fits of the remaining contacts, and of one contact in place of two."""
 
 
 def refitted(model: ForwardModel, fewer: Branches, samples: Complex, whiten: Weights) -> Update:
-    """Return fits of the remaining contacts, also from half a wavelength away, the best first.
+    """Return fits of the remaining contacts, also started half a wavelength away, the best first.
 
     Parameters
     ----------
@@ -41,14 +41,14 @@ def refitted(model: ForwardModel, fewer: Branches, samples: Complex, whiten: Wei
     fewer : Branches
         One branch of the remaining contacts.
     samples : ndarray
-        Baseband of the cycle, (n_time,).
+        Baseband of the cycle in counts, (n_time,).
     whiten : Weights
     """
     m = len(fewer.tools)
     mean = np.repeat(fewer.mean, 1 + 2 * m, axis=0)
     contact = np.arange(m)
-    mean[1 + contact, 2 * contact] -= half_wavelength(model)
-    mean[1 + m + contact, 2 * contact] += half_wavelength(model)
+    mean[1 + contact, 2 * contact] -= model.base.half_wavelength
+    mean[1 + m + contact, 2 * contact] += model.base.half_wavelength
     wide = np.repeat(widened(fewer, model.priors), 1 + 2 * m, axis=0)
     level = np.append(0.0, np.full(2 * m, UNUSUAL))
     start = Branches(fewer.tools, mean, wide, level)
@@ -89,7 +89,7 @@ def one_for_two(
         One for each tool.
     motion : Motion
     best : Branches
-        One branch.
+        One branch, with both neighbours.
     first : int
         Index of the first of the two neighbours along the tube.
     samples : ndarray

@@ -94,10 +94,10 @@ def maximise(
     iterations: int = 12,
     known: float | None = None,
 ) -> Fits:
-    """Return the maxima of the likelihood next to starting points, by Levenberg and Marquardt.
+    """Return a maximum of the likelihood next to each starting point, by Levenberg and Marquardt.
 
-    Starting points whose cost stays far above the least, or above that of a known maximum, are
-    given up; their last parameters are returned.
+    The fits are in the order of the starting points. A starting point whose cost stays far above
+    the least, or above that of a known maximum, is given up: its last parameters are returned.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def maximise(
     start : ndarray
         Parameters, (n, 2 n_presses + 6).
     samples : ndarray
-        Baseband of the cycles, (n_time,).
+        Baseband of the cycles in counts, (n_time,).
     whiten : Weights
     iterations : int
         Largest number of iterations.
@@ -165,7 +165,7 @@ def _few_quadratic(
     samples: Complex,
     whiten: Weights,
 ) -> tuple[Array, Array, Array]:
-    """Return the same for a few sets of parameters, whose matrices stay in the cache."""
+    """Return what `_quadratic` does, for so few sets that their matrices fit a cache."""
     places, depths, nuisances = split(parameters)
     value, jacobian = model.baseband(tools, places, depths, nuisances)
     residual = whiten(samples - value)
@@ -198,7 +198,7 @@ def evidence(model: ForwardModel, tools: tuple[int, ...], fits: Fits, whiten: We
 
 
 def distinct(fits: Fits, n_presses: int) -> Fits:
-    """Return the distinct maxima, the best first."""
+    """Return the distinct maxima, the best first; of those that count as one, the best is kept."""
     fits = fits.sorted()
     scale = np.tile(DISTINCT, n_presses)
     kept: list[int] = []

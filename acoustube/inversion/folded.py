@@ -39,7 +39,7 @@ from acoustube.waves.scattering import Complex
 HALF_BAND = 0.13
 """Half width of the band about half the sampling rate, relative to the carrier frequency."""
 FARTHEST = 0.08
-"""Largest distance of the carrier from half the sampling rate, relative to the carrier."""
+"""Largest difference of the carrier and half the sampling rate, relative to the carrier."""
 FINER = 4
 """Oversampling factor with which the ring-down is computed."""
 
@@ -63,7 +63,7 @@ class FoldedBaseband(Baseband):
         return 2 * int(next_fast_len(-(-least // 2)))
 
     def _band(self, carrier: float) -> tuple[NDArray[np.int_], Array]:
-        """Return the numbers of the frequencies about half the sampling rate, and their taper."""
+        """Return the bins of the frequencies about half the sampling rate, and their taper."""
         middle = self.rate / 2
         if abs(carrier - middle) > FARTHEST * carrier:
             raise ConfigError(
@@ -78,21 +78,27 @@ class FoldedBaseband(Baseband):
         return self.period // 2 + offset, taper
 
     def noise(self, n_cycles: int) -> float:
-        """Return the variance of a real sample of the mean of cycles."""
+        """Return the variance of a real sample of the mean of cycles, in counts squared."""
         return super().noise(n_cycles) / 4
 
     def transformed(self, spectrum: Complex) -> Complex:
-        """Return the real parts of basebands (..., n_time) of spectra (..., n_f) in counts s."""
+        """Return the real part of the baseband in counts, (..., n_time), as complex numbers.
+
+        Parameters
+        ----------
+        spectrum : ndarray
+            Spectra in counts s, (..., n_f).
+        """
         samples = super().transformed(spectrum)
         samples = samples * self._signs.astype(samples.real.dtype)
         return np.asarray(samples.real, samples.dtype)
 
     def adjoint(self, samples: Complex) -> Complex:
-        """Return the adjoint of :meth:`transformed`, for the real part of the product."""
+        """Return the adjoint of :meth:`transformed` for the real part of the inner product."""
         return super().adjoint(samples * self._signs[: samples.shape[-1]])
 
     def ring_down(self) -> Complex:
-        """Return the ring-down that the rangefinder's parameters give, in the baseband."""
+        """Return the baseband of the ring-down from the rangefinder's parameters, (n_time,)."""
         r, n, rate = self.rangefinder, FINER * self.period, FINER * self.rate
         f = np.asarray(np.fft.rfftfreq(n, 1 / rate)[1:], float).astype(complex)
         spectrum = r.send * sent_spectrum(r, f, rate, n, 0.0) * r.resonator(f)
@@ -127,7 +133,8 @@ def baseband_of(
 ) -> Baseband:
     """Return the baseband of a rangefinder, folded if its band exceeds half the sampling rate.
 
-    The parameters and errors are those of :class:`acoustube.inversion.Baseband`.
+    The parameters and errors are those of :class:`acoustube.inversion.Baseband`, and for a folded
+    band also those of :class:`FoldedBaseband`. The band of a chirp is not folded, but refused.
     """
     carrier = getattr(rangefinder.drive, "frequency", rangefinder.resonance)
     below = carrier + half_width(rangefinder) < rangefinder.sampling_rate / 2

@@ -27,8 +27,8 @@ ERRORS = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4)
 SPREADS = 1e-4, 4e-4, 1.5e-3
 """Errors of the model at all times, relative to the highest echo, that are tried besides zero."""
 BENT_SPREADS = 6e-3, 2.4e-2
-"""Further ones that are tried on a wrapped tube, where modes close to their cut-on are slow and are
-reflected where the curvature changes."""
+"""Further such errors that are tried on a wrapped tube, where modes close to their cut-on are slow
+and are reflected where the curvature changes."""
 SHIFTS = (
     (-1, 0.0), (1, 0.0), (-2, 0.0), (2, 0.0), (-3, 0.0), (3, 0.0), (0, -0.4e-3), (0, 0.4e-3),
     (0, -0.15e-3), (0, 0.15e-3), (1, 0.15e-3), (-1, -0.15e-3), (1, -0.15e-3), (-1, 0.15e-3),
@@ -39,16 +39,17 @@ JOINT = -3, -2, -1, 1, 2, 3
 POOR = 0.05
 """Relative model error above which the maxima of joint shifts get estimated errors of their own."""
 JUDGED = 4
-"""Largest number of these maxima whose model error is estimated."""
+"""Largest number of maxima of joint shifts whose model error is estimated."""
 OUTLIER = 9.0
 """Cap on the squared whitened residual in the robust choice of the initial temperature."""
 KEPT = 3
-"""Number of candidates whose model error is estimated, for each indenter and number in the sequence
-of presses along the tube."""
+"""Number of candidates whose model error is estimated, for each tool of a further press and each
+index of this press along the tube."""
 SEARCHED = 0.02
 """Largest relative error of the model with which presses are sought."""
 STARTS = 2, 10
-"""Number of iterations for all candidates, and number of the best that are then followed."""
+"""Number of iterations for all candidates of one more press, and number of the best that are then
+followed."""
 FIRST_STARTS = 16, 5
 """Number of candidates of a first press that are refined, and number of the best that are followed
 after those iterations. In twelve recordings of single presses, the candidate that led to the best
@@ -58,8 +59,8 @@ FOLLOWED = 2
 LOUD = 5.0
 """Smoothed level of the whitened samples, relative to the noise, at which an echo begins."""
 HOPELESS = 10.0
-"""Excess of the deviance with one more press over that without it, above which it is not followed,
-before its model error and other maxima are known."""
+"""Excess of the deviance with one more press over that without it, above which the press is not
+followed. The deviance with the press is that before its model error and other maxima are known."""
 UNLIKELY, FARTHER = 8.0, 4
 """Excess of a maximum's cost over the least up to which places farther along the tube are tried
 too, and number of half wavelengths tried."""
@@ -107,9 +108,16 @@ class Builder:
     templates : list of Templates
         One for each tool.
     samples : ndarray
-        Mean of cycles in the baseband, (n_time,).
+        Mean of cycles in the baseband in counts, (n_time,).
     noise : float
-        Variance of a sample of the mean.
+        Variance of a sample of the mean, in counts squared.
+
+    Attributes
+    ----------
+    quiet : Weights
+        Weights without an error of the model.
+    start : ndarray
+        Initial nuisance parameters, (6,).
     """
 
     def __init__(
@@ -126,7 +134,7 @@ class Builder:
         return self._judged((), fits, 0.0, self.quiet)
 
     def silent(self) -> Hypothesis:
-        """Return the hypothesis of no press, with the nuisance parameters that the search uses."""
+        """Return the hypothesis of no press at the initial nuisance parameters, not judged."""
         n = len(self.start)
         fits = Fits(self.start[None], np.zeros(1), np.eye(n)[None])
         return Hypothesis((), fits, 0.0, self.quiet, np.inf, np.inf)
@@ -153,7 +161,10 @@ class Builder:
         return np.asarray(tried[np.argmin(robust + (tried[:, 0] / deviation) ** 2)])
 
     def searched(self, known: Hypothesis) -> Hypothesis:
-        """Return a hypothesis with the weights with which further presses are sought."""
+        """Return a hypothesis with the weights with which further presses are sought.
+
+        They are those for a model error of at most :data:`SEARCHED`.
+        """
         if 0 < known.error <= SEARCHED:
             return known
         error = min(known.error, SEARCHED) or SEARCHED
@@ -163,7 +174,8 @@ class Builder:
     def extended(self, known: Hypothesis, least: float | None = None) -> list[Hypothesis]:
         """Return hypotheses with one more press, whose expected gain exceeds `least`.
 
-        The default of `least` is the gain that the prior odds of the press require.
+        The gain is the decrease of the cost. By default `least` is the gain that the prior odds of
+        the press require.
         """
         own = self.searched(known) if known.tools else known
         sought = [known] if own is known else [known, own]
@@ -185,7 +197,9 @@ class Builder:
         within: tuple[float, float] | None = None,
         least: float = 0.0,
     ) -> list[tuple[tuple[int, ...], Fits]]:
-        """Return tools and fits with one more press, for each tool and order, the best first.
+        """Return tools and fits with one more press, the best first.
+
+        There is a pair for each tool of the press, and each order of the tools along the tube.
 
         Parameters
         ----------
@@ -195,7 +209,7 @@ class Builder:
         within : (float, float), optional
             Range of places in m in which the press is sought.
         least : float
-            Gain that the best candidate of a tool has to exceed.
+            Expected decrease of the cost that the best candidate of a tool has to exceed.
         """
         if not known.tools:
             parameters = self.start[None]
@@ -224,7 +238,7 @@ class Builder:
         return float(evidence(self.model, known.tools, known.fits.first(1), known.whiten)[0])
 
     def replaced(self, known: Hypothesis, number: int) -> list[Hypothesis]:
-        """Return hypotheses in which one press has been sought again."""
+        """Return hypotheses in which the press of index `number` has been sought again."""
         tools, fits = _without(known, number)
         fewer = Hypothesis(tools, fits, known.error, known.whiten, np.inf, np.inf)
         return self.extended(fewer, least=0.0)
@@ -272,8 +286,7 @@ class Builder:
 
     def shifted(self, known: Hypothesis) -> Hypothesis:
         """Return a hypothesis with further maxima, half wavelengths and steps of depth away."""
-        base, m = self.model.base, len(known.tools)
-        half = base.air.sound_speed / (2 * float(np.mean(base.frequency)))
+        m, half = len(known.tools), self.model.base.half_wavelength
         moves = np.array(SHIFTS) * [half, 1.0]
         start = np.repeat(known.best[None], m * len(moves), axis=0)
         for i in range(m):
@@ -376,7 +389,7 @@ class Builder:
 
 
 def _without(known: Hypothesis, number: int) -> tuple[tuple[int, ...], Fits]:
-    """Return tools and parameters of a hypothesis with one of its presses left out."""
+    """Return tools and unfitted parameters of a hypothesis without the press of index `number`."""
     places, depths, nuisances = split(known.fits.parameters[:1])
     kept = [i for i in range(len(known.tools)) if i != number]
     rest = joined(places[:, kept], depths[:, kept], nuisances)

@@ -1,9 +1,9 @@
 """Scattering of a press between bends and its derivatives, in compiled loops over frequency.
 
 The equations are given in :mod:`acoustube.inversion.joints`. The last axis of the arrays of joints
-holds, one after the other, the transmission of a joint (3, 3), its reflection back into the
-straight bore (3, 3), that back into the bent one (3, 3), and the modes that pass the press
-(n_own, 3).
+holds four matrices of a joint, one after the other: the transmission (3, 3), the reflection back
+into the straight bore (3, 3), the reflection back into the bent bore (3, 3), and the transmission
+between the bent modes and the modes that pass the press unscattered (n_own, 3).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from acoustube.inversion.small_matrices import (
 from acoustube.waves.scattering import Complex
 
 PASSED, RETURNED, REFLECTED, PASSING = 0, 9, 18, 27
-"""First index of each part of a joint."""
+"""First index of each matrix of a joint in the last axis, in the order of the module's text."""
 
 
 @compiled
@@ -41,14 +41,14 @@ def _three(a: Complex) -> Vector:
 
 @compiled
 def _joint(at: Complex, way: Vector) -> tuple[Matrix, Matrix]:
-    """Return a joint's transmission and its reflection back to the press, referred to the press."""
+    """Return a joint's transmission and its reflection back to the press, as seen at the press."""
     ones = (1.0 + 0j, 1.0 + 0j, 1.0 + 0j)
     return scaled(way, kept(at[PASSED:]), ones), scaled(way, kept(at[RETURNED:]), way)
 
 
 @compiled
 def _once_more(s: Complex, out: int, into: int, b0: Matrix, b1: Matrix) -> Matrix:
-    """Return a block of S + S B S."""
+    """Return a block of S + S B S, where B has the diagonal blocks `b0` and `b1`."""
     first = product(block(s, out, 0), product(b0, block(s, 0, into)))
     second = product(block(s, out, 1), product(b1, block(s, 1, into)))
     return added(block(s, out, into), added(first, second))
@@ -56,13 +56,13 @@ def _once_more(s: Complex, out: int, into: int, b0: Matrix, b1: Matrix) -> Matri
 
 @compiled
 def _applied(s: Complex, out: int, v0: Vector, v1: Vector) -> Vector:
-    """Return the amplitudes of the waves that leave a port."""
+    """Return S v at port `out`, where `v0` and `v1` are the parts of v at the two ports."""
     return plus(apply(block(s, out, 0), v0), apply(block(s, out, 1), v1))
 
 
 @compiled
 def _applied_left(s: Complex, into: int, u0: Vector, u1: Vector) -> Vector:
-    """Return the row vector with which waves that arrive at a port are received."""
+    """Return u^T S at port `into`, where `u0` and `u1` are the parts of u at the two ports."""
     return plus(apply_left(u0, block(s, 0, into)), apply_left(u1, block(s, 1, into)))
 
 
@@ -79,7 +79,7 @@ def joined_values(s: Complex, joints: Complex, way: Complex, through: Complex) -
     way : ndarray
         Propagation factors of the straight modes from a press to a joint, (n, n_f, 3).
     through : ndarray
-        Those of the modes that pass the press, from joint to joint, (n, n_f, n_own).
+        Propagation factors of the modes that pass the press, from joint to joint, (n, n_f, n_own).
 
     Returns
     -------
@@ -119,26 +119,27 @@ def joined_changes(
     s: Complex, s_depth: Complex, s_stretch: Complex, joints: Complex, moved: Complex,
     way: Complex, warm: Complex, through: Complex, through_warm: Complex, waves: Complex,
 ) -> Complex:  # fmt: skip
-    """Return the derivatives of the received sound that joined presses scatter.
+    """Return the derivatives of u^T W v, the received part of the sound that presses scatter.
 
     Parameters
     ----------
     s, s_depth, s_stretch : ndarray
-        Scattering matrices between straight modes and their derivatives, (n, n_f, 2, 3, 2, 3).
+        Scattering matrices between straight modes and their derivatives by depth and stretch,
+        (n, n_f, 2, 3, 2, 3).
     joints, moved : ndarray
-        Joints at both ports, and their derivatives by position, (2, n, n_f, n_parts).
+        Joints at both ports, and their derivatives by position in 1/m, (2, n, n_f, n_parts).
     way, through
         See :func:`joined_values`.
     warm, through_warm : ndarray
-        Relative derivatives of these by temperature, (n_f, 3) and (n_f, n_own).
+        Relative derivatives of `way` and `through` by temperature in 1/K, (n_f, 3), (n_f, n_own).
     waves : ndarray
-        Row vectors with which waves that leave the two ports are received, then column vectors of
-        the waves that arrive at the two ports, in bent modes, (n, n_f, 4, 3).
+        In bent modes, (n, n_f, 4, 3): u at both ports, the factors with which leaving waves are
+        received, then v at both ports, the amplitudes of the waves that arrive.
 
     Returns
     -------
     ndarray
-        Derivatives by depth, stretch, position and temperature, (4, n, n_f).
+        Derivatives by depth (1/m), stretch, position (1/m), temperature (1/K), (4, n, n_f).
     """
     n, n_f = s.shape[:2]
     found = np.empty((4, n, n_f), np.complex128)

@@ -8,7 +8,7 @@ S is the scattering matrix of the press between straight modes. E, B and G descr
 its two ends, and are block-diagonal and referred to the press. E is their transmission, B their
 reflection back into the straight bore, and G their reflection back into the bent one. P is the
 transmission of modes that pass the press unscattered: those antisymmetric about the plane of the
-bend, which the press does not have. The derivatives are needed in products u^T dW v, where v holds
+bend, which are not in S. The derivatives are needed in products u^T dW v, where v holds
 the amplitudes of the waves that arrive, and u the factors with which leaving waves are received.
 These need only products of matrices and vectors.
 """
@@ -26,21 +26,22 @@ from acoustube.waves.scattering import Complex
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """Presses between bends.
+    """Scattering of presses between bends, in the modes of the bends.
 
     Attributes
     ----------
     straight : Matrices
-        Scattering between straight modes, of which there are three or fewer.
+        Scattering between three straight modes, zero for modes that the tool does not have.
     joints, moved : ndarray
         Joints at both ports, and their derivatives by position in 1/m, (2, n, n_f, n_parts); see
         :mod:`acoustube.inversion.joint_sums`.
     way : ndarray
         Propagation factors of the straight modes from a press to a joint, (n, n_f, 3).
     warm : ndarray
-        Their relative derivatives by temperature in 1/K, (n_f, 3).
+        Relative derivatives of `way` by temperature in 1/K, (n_f, 3).
     through, through_warm : ndarray
-        The same for modes that pass from joint to joint, (n, n_f, n_own) and (n_f, n_own).
+        Propagation factors of the modes that pass unscattered, from joint to joint, and their
+        relative derivatives by temperature in 1/K, (n, n_f, n_own) and (n_f, n_own).
     untouched : ndarray
         Transmission of the plane wave from port to port of a bend without a press, (n, n_f).
     """
@@ -68,20 +69,20 @@ class Joined:
         out: Complex | None = None,
         into: Complex | None = None,
     ) -> Complex:
-        """Return the derivatives of the received part of the sound that the presses scatter.
+        """Return the derivatives of u^T W v, the received part of the sound that presses scatter.
 
         Parameters
         ----------
         left, right : ndarray, optional
-            Factors with which waves that leave the first port are received, and amplitudes of the
-            waves that arrive there, (n, n_f, 3); zero by default.
+            Factors u with which waves that leave the first port are received, and amplitudes v of
+            the waves that arrive there, (n, n_f, 3); zero by default.
         out, into : ndarray, optional
-            The same at the second port.
+            Factors u and amplitudes v at the second port, (n, n_f, 3); zero by default.
 
         Returns
         -------
         ndarray
-            Derivatives by depth, stretch, position and temperature, (4, n, n_f).
+            Derivatives by depth (1/m), stretch, position (1/m), temperature (1/K), (4, n, n_f).
         """
         from acoustube.inversion.joint_sums import joined_changes
 
@@ -95,7 +96,7 @@ class Joined:
     def transmission(self) -> tuple[Complex, Complex, Complex]:
         """Return the plane wave's two-way transmission, and its derivatives by depth and stretch.
 
-        They are relative to the bend without a press, as is the clutter behind it.
+        Each is (n, n_f), relative to the bend without a press, as is the clutter behind a press.
         """
         plane = np.zeros(self.way.shape, complex)
         plane[..., 0] = 1.0

@@ -23,7 +23,9 @@ INDEPENDENT_SHARE = 1e-3
 """Fraction of each sample's variance that is independent of the other samples, above which single
 precision is enough."""
 RINGING, RINGING_SHARE = 0.5e-3, 0.05
-"""Decay time in s and relative power of the model's error after an echo, due to trapped sound."""
+"""Decay time in s of the power of the model's error after an echo, due to trapped sound, and power
+of this tail at its start. Each sample of the echo adds a tail; its power is relative to the
+sample's own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +35,11 @@ class Weights:
     Attributes
     ----------
     matrix : ndarray
-        Inverse of the Cholesky factor of the covariance of the first n samples, (n, n). A row
-        depends only on the samples up to its own time, so that the first rows are the weights of
-        the first samples.
+        Inverse of the Cholesky factor of the covariance of the first n samples, times the root of
+        the baseband's `freedom`, (n, n). A row depends only on the samples up to its own time, so
+        that the first rows are the weights of the first samples.
     log_determinant : float
-        Logarithm of the determinant of the covariance of all samples.
+        Logarithm of the determinant of the covariance of all samples, times `freedom`.
     spread : float
         Error of the model at all times, relative to the highest echo.
     """
@@ -60,16 +62,16 @@ class Weights:
         return self.matrix.astype(np.complex64)
 
     def weighted(self, samples: Complex) -> Complex:
-        """Return the inverse of the covariance times the first n of samples (n_time,), (n,)."""
+        """Return :attr:`precision` times the first n of samples (n_time,): an array (n,)."""
         return np.asarray(self(samples) @ self.matrix.conj())
 
     def until(self, n: int) -> Weights:
-        """Return the weights of the first n samples alone."""
+        """Return the weights of the first n samples alone; `log_determinant` is kept."""
         return replace(self, matrix=self.matrix[:n, :n])
 
     @cached_property
     def precision(self) -> Complex:
-        """Inverse of the covariance of the first n samples, (n, n)."""
+        """Inverse of the covariance of the first n samples, times `freedom`, (n, n)."""
         return np.asarray(self.matrix.conj().T @ self.matrix)
 
 
@@ -86,11 +88,11 @@ def weights(
     ----------
     model : ForwardModel
     noise : float
-        Variance of a sample of the mean of cycles.
+        Variance of a sample of the mean of cycles, in counts squared.
     error : float
         Error of the model relative to the echo.
     echo : Echo or None
-        Expected echo of the presses.
+        Expected echo of the presses; None without presses.
     spread : float
         Error of the model at all times, relative to the highest echo, due to multiple reflections
         that the model lacks.
@@ -108,6 +110,7 @@ class Echo(NamedTuple):
     Attributes
     ----------
     value : ndarray
+        In counts.
     by_losses : ndarray or None
         Change of the echo due to an error of one standard deviation of the losses in the presses.
         Trapped sound then decays faster or slower, which after some milliseconds exceeds any error
@@ -153,11 +156,12 @@ def whitened(
     spread: float,
     samples: Complex,
 ) -> tuple[Complex, float]:
-    """Return whitened samples, and the logarithm of the determinant of the covariance.
+    """Return whitened samples (n_time, n), and the logarithm of the covariance's determinant.
 
-    This is for weights that are used once. The Cholesky factor is not inverted, and is in single
-    precision where that changes a deviance by less than 0.01. This is so where the independent part
-    of each sample's variance is not small (:data:`INDEPENDENT_SHARE`).
+    This is for weights that are used once. Unlike in :class:`Weights`, neither result is scaled by
+    the baseband's `freedom`. The Cholesky factor is not inverted, and is in single precision where
+    that changes a deviance by less than 0.01. This is so where the independent part of each
+    sample's variance is not small (:data:`INDEPENDENT_SHARE`).
 
     Parameters
     ----------

@@ -63,6 +63,11 @@ class Priors:
         Relative deviation of the wall's Young's modulus from that of the library or of a twin, to
         which forces are proportional. It adds to the deviation stated in the file of a twin.
         Default 0; 0.1 for 2 Shore A.
+
+    Raises
+    ------
+    ConfigError
+        If a value is outside its range.
     """
 
     temperature: float = 0.3
@@ -116,7 +121,7 @@ class Priors:
 
 
 class ForwardModel:
-    """Forward model of the baseband of cycles with presses by the tools of a library.
+    """Forward model: the baseband of cycles with presses by the tools of a library.
 
     Parameters
     ----------
@@ -132,6 +137,16 @@ class ForwardModel:
         Propagation along the tube.
     span : (float, float)
         Nearest and farthest place in m of a press.
+    tables : list of ToolTable
+        Interpolated scattering of each tool.
+    stretch, stretch_by_temperature : float
+        Relative stretch of frequency in the presses at the temperature of `base`, and its
+        derivative in 1/K: the ratio of the library's speed of sound to that of the air, less 1.
+
+    Raises
+    ------
+    ConfigError
+        If a wrapped tube has no place for a press.
     """
 
     @checked(
@@ -233,7 +248,7 @@ class ForwardModel:
         self, tools: tuple[int, ...], places: Array, depths: Array, temperature: Array,
         stretch: Array,
     ) -> tuple[Echo, Sequence[Matrices | FrontCoefficients | Joined]]:  # fmt: skip
-        """Return the echo at the face, and the matrices of the presses along the path."""
+        """Return the echo at the face, and the scattering of the presses in the path's modes."""
         base, path = self.base, self.path
         face = base.rangefinder.face_reflection
         whole = tools if path.converts else tools[:-1]
@@ -255,10 +270,10 @@ class ForwardModel:
         temperature: Array,
         matrices: Sequence[Matrices | FrontCoefficients | Joined],
     ) -> None:
-        """Add the clutter, attenuated by the presses before it, and its derivatives.
+        """Add the clutter, attenuated by the presses before it, and its derivatives to `spectrum`.
 
         With the clutter C(z) of all the tube beyond z and the two-way transmissions t_i of the
-        presses, it is C(0) - C(z_1) + t_1 (C(z_1) - C(z_2)) + t_1 t_2 (C(z_2) - ...) + ...
+        presses at z_i, it is C(0) - C(z_1) + t_1 (C(z_1) - C(z_2)) + t_1 t_2 (C(z_2) - ...) + ...
         """
         if self.clutter.behind is None:
             return
@@ -290,12 +305,15 @@ class ForwardModel:
             spectrum[:, 2 * m + 1] += self.stretch_by_temperature * stretched
 
     def without_presses(self, nuisances: Array) -> Complex:
-        """Return the baseband of the untouched tube, (n, n_time)."""
+        """Return the untouched tube's baseband in counts, (n, n_time), for nuisances (n, 6)."""
         empty = np.zeros((len(nuisances), 0))
         return self.baseband((), empty, empty, nuisances)[0]
 
     def scale_error(self, place: float) -> float:
-        """Return the standard deviation in m of a place in m due to the thermometer's error."""
+        """Return the standard deviation in m of a place in m due to the thermometer's error.
+
+        It is zero where the clutter is not measured.
+        """
         if self.clutter.behind is None:  # the estimated temperature contains that error
             return 0.0
         return place * self.base.speed_by_temperature / self.base.speed * self.priors.thermometer

@@ -49,18 +49,19 @@ def discrepancy(
     """Return the discrepancy of the model about each maximum of a hypothesis.
 
     The relative errors of :data:`acoustube.inversion.hypotheses.ERRORS` are equally likely a
-    priori. The parameters are marginalised first, since a fit absorbs a part of the error, and then
-    the error is. Its root mean square times the echo of a press is taken as wholly along the
-    derivative by position, and by depth. The offsets of the priors are added in quadrature.
+    priori. The parameters are marginalised first, since a fit absorbs a part of the error, and the
+    error is marginalised next. The root mean square of the error times the echo of a press is taken
+    as wholly along the derivative by position, and by depth. The offsets of the priors are added in
+    quadrature.
 
     Parameters
     ----------
     model : ForwardModel
     known : Hypothesis
     samples : ndarray
-        Baseband of the cycles, (n_time,).
+        Baseband of the cycles in counts, (n_time,).
     noise : float
-        Variance of the noise of a sample.
+        Variance of the noise of a sample, in counts squared.
     """
     places, depths, nuisances = split(known.fits.parameters)
     value, jacobian = model.baseband(known.tools, places, depths, nuisances)

@@ -1,8 +1,9 @@
-"""Motion of contacts between cycles, and the update of their distribution by a cycle.
+"""Gaussian-sum filter of contacts: prediction between cycles, and update by a cycle.
 
-The state holds position and depth of each contact in turn, the nuisance parameters, and the
-velocities of positions and depths in turn. Several normal distributions, the branches, share one
-set of tools.
+The state vector of m contacts has 4 m + 6 components: position and depth of each contact in turn,
+the six nuisance parameters, and the velocities of position and of depth of each contact in turn.
+Its distribution is a mixture of normal distributions, the branches, which all have the same
+contacts with the same tools.
 
 References
 ----------
@@ -35,28 +36,34 @@ Numbers = NDArray[np.integer[Any]]
 LIMITS = 2 * LARGEST_STEPS[0], 2 * LARGEST_STEPS[1]
 """Largest changes of position and depth in an iteration, in m."""
 CONVERGED = 0.1
-"""Expected decrease of the cost in an iteration below which the iterations end."""
+"""Expected decrease of the cost in an iteration, below which a branch is not iterated further. The
+cost is minus twice the logarithm of the posterior density, up to a constant."""
 LOST = 60.0
 """Excess over the least cost above which a branch is not refined after its second iteration."""
 DISTINCT = 0.5e-3, 0.05e-3
-"""Differences of position and depth in m up to which two branches count as one."""
+"""Differences of position and depth in m: branches in which all contacts differ by less are one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """Motion of contacts and drift of the nuisances, both Ornstein-Uhlenbeck processes.
+    """Model of motion: velocities and nuisance parameters as Ornstein-Uhlenbeck processes.
 
     Attributes
     ----------
     slide, sink : float
-        Standard deviations of the velocities along the tube and of the depth, in m/s. Defaults 0.03
-        and 0.015.
+        Stationary standard deviations in m/s of the velocity of a contact along the tube, and of
+        the velocity of its depth. Defaults 0.03 and 0.015.
     memory : float
-        Correlation time of velocities in s. Default 0.4.
+        Correlation time of both velocities in s. Default 0.4.
     drift : float
-        Correlation time of the nuisances in s. Default 30.
+        Correlation time of the nuisance parameters in s. Default 30.
     survival : float
         Prior probability that a contact is still present one cycle later. Default 0.9.
+
+    Raises
+    ------
+    ConfigError
+        If a value is outside its range.
     """
 
     slide: float = 0.03
@@ -81,13 +88,13 @@ class Branches:
     Attributes
     ----------
     tools : tuple of int
-        Number in the library of the tool of each contact, in the order along the tube.
+        Index in the library of the tool of each contact, in the order along the tube.
     mean : ndarray
-        Means of the state, (n, 4 n_contacts + 6).
+        Mean of the state in each of n branches, (n, 4 n_contacts + 6).
     covariance : ndarray
-        Covariances of the state, (n, 4 n_contacts + 6, 4 n_contacts + 6).
+        Covariance of the state in each branch, (n, 4 n_contacts + 6, 4 n_contacts + 6).
     level : ndarray
-        Logarithms of the weights, of which the largest is zero, (n,).
+        Logarithm of each branch's weight relative to the largest weight, (n,).
     """
 
     tools: tuple[int, ...]
@@ -101,12 +108,12 @@ class Branches:
         return 2 * len(self.tools) + len(NUISANCES)
 
     def take(self, rows: Numbers) -> Branches:
-        """Return some of the branches, with the largest level shifted to zero."""
+        """Return the branches at given indices, with their largest level shifted to zero."""
         level = self.level[rows]
         return Branches(self.tools, self.mean[rows], self.covariance[rows], level - level.max())
 
     def joined(self, other: Branches) -> Branches:
-        """Return these branches and others of the same contacts."""
+        """Return these branches followed by others of the same contacts, with unchanged levels."""
         return Branches(
             self.tools,
             np.concatenate([self.mean, other.mean]),
@@ -115,7 +122,7 @@ class Branches:
         )
 
     def without(self, contact: int) -> Branches:
-        """Return the branches with one contact marginalised."""
+        """Return the branches without the contact of an index, over which they are marginalised."""
         p = self.parameters
         gone = [2 * contact, 2 * contact + 1, p + 2 * contact, p + 2 * contact + 1]
         kept = np.delete(np.arange(self.mean.shape[1]), gone)
@@ -125,15 +132,19 @@ class Branches:
     def added(
         self, rank: int, tool: int, place: Array, depth: Array, deviations: Array
     ) -> Branches:
-        """Return the first branch with one additional contact, independent of the others.
+        """Return copies of the first branch with one additional contact, one copy for each place.
+
+        The new contact is independent of the others, its mean velocities are zero, and all levels
+        are zero.
 
         Parameters
         ----------
         rank : int
             Index of the new contact along the tube.
         tool : int
+            Index of its tool in the library.
         place, depth : ndarray
-            In m, (n,), one branch for each.
+            Its mean position and depth in each copy in m, (n,).
         deviations : ndarray
             Standard deviations of position and depth in m and of their velocities in m/s, (4,).
         """
@@ -150,18 +161,21 @@ class Branches:
 
 
 def at_rest(priors: Priors) -> Branches:
-    """Return the distribution of the nuisance parameters alone, without contacts."""
+    """Return the prior without contacts: one branch, of the nuisance parameters alone."""
     n = len(NUISANCES)
     return Branches((), np.zeros((1, n)), np.diag(priors.deviations**2)[None], np.zeros(1))
 
 
 def velocities(motion: Motion, contacts: int) -> Array:
-    """Return the standard deviations in m/s of the velocities of contacts, (2 n_contacts,)."""
+    """Return the standard deviations in m/s of the contacts' velocities, (2 n_contacts,).
+
+    For each contact in turn: of its position and of its depth.
+    """
     return np.tile([motion.slide, motion.sink], contacts)
 
 
 def predicted(branches: Branches, motion: Motion, priors: Priors, step: float) -> Branches:
-    """Return the predicted distribution after a step of time.
+    """Return the distribution predicted after a time step, before the next cycle is used.
 
     Parameters
     ----------
@@ -181,7 +195,7 @@ def predicted(branches: Branches, motion: Motion, priors: Priors, step: float) -
     change[own, own] = slow
     noise = np.zeros((q, q))
     added = velocities(motion, m) ** 2 * (1 - kept**2)
-    # The variance that is added to a velocity grows evenly over the step.
+    # Process noise of a position: the variance added to its velocity grows linearly over the step.
     noise[speed, speed], noise[place, place] = added, added * step**2 / 3
     noise[place, speed] = noise[speed, place] = added * step / 2
     noise[own, own] = priors.deviations**2 * (1 - slow**2)
@@ -196,15 +210,17 @@ class Update:
     Attributes
     ----------
     branches : Branches
-        Sorted by weight, the most likely first.
+        The n branches, sorted by weight, the most likely first.
     evidence : ndarray
-        Logarithm of the likelihood of the cycle given the earlier ones, up to a constant, (n,).
+        Log likelihood of the cycle in each branch, given the earlier cycles, up to a constant,
+        (n,).
     rest : ndarray
-        Residual of the cycle, (n, n_time).
+        Residual of the cycle in the baseband, in counts, (n, n_time).
     slopes : ndarray
-        Whitened Jacobian, (n, n_parameters, n_time).
+        Whitened Jacobian by the 2 n_contacts + 6 parameters, which exclude the velocities,
+        (n, n_parameters, n_time).
     information : ndarray
-        Fisher information of this cycle alone, (n, n_parameters, n_parameters).
+        Fisher information of the parameters in this cycle alone, (n, n_parameters, n_parameters).
     """
 
     branches: Branches
@@ -214,7 +230,7 @@ class Update:
     information: Array
 
     def joined(self, other: Update) -> Update:
-        """Return these branches and others of the same contacts, the best first."""
+        """Return these branches and others of the same contacts, sorted by level, best first."""
         both = Update(
             self.branches.joined(other.branches),
             *(
@@ -225,7 +241,7 @@ class Update:
         return both.take(np.argsort(-both.branches.level))
 
     def take(self, rows: Numbers) -> Update:
-        """Return some of the branches."""
+        """Return the branches at given indices, with their largest level shifted to zero."""
         return Update(
             self.branches.take(rows), self.evidence[rows], self.rest[rows], self.slopes[rows],
             self.information[rows],
@@ -242,7 +258,7 @@ def updated(
     forget: float = 1.0,
     limit: float = np.inf,
 ) -> Update:
-    """Return the distribution after a cycle, by Gauss-Newton steps about each branch.
+    """Return the posterior after a cycle: an iterated extended Kalman update of each branch.
 
     Parameters
     ----------
@@ -250,9 +266,10 @@ def updated(
     prior : Branches
         Predicted distribution.
     samples : ndarray
-        Baseband of the cycle, (n_time,).
+        Baseband of the cycle in counts, (n_time,).
     whiten : Weights
     iterations : int
+        Largest number of damped Gauss-Newton steps.
     forget : float
         Factor by which the levels are multiplied before the evidence of this cycle is added.
     limit : float
@@ -307,8 +324,9 @@ def likely(found: Update, worst: float, most: int) -> Update:
     Parameters
     ----------
     found : Update
+        Sorted by weight.
     worst : float
-        Logarithm of the odds relative to the best branch below which a branch is left out.
+        Log odds relative to the best branch, negative, below which a branch is left out.
     most : int
         Largest number of branches.
     """
@@ -323,7 +341,11 @@ def likely(found: Update, worst: float, most: int) -> Update:
 
 
 class _Quadratic:
-    """Cost, half its gradient, and Fisher information of the data, for many sets of parameters."""
+    """Cost, half its gradient, and Fisher information of the data, for n sets of parameters.
+
+    `rest`, `slopes` and `information` are those of :class:`Update`; `cost` is (n,) and `gradient`
+    (n, n_parameters). Cost and gradient include the prior; the information does not.
+    """
 
     def __init__(
         self,
@@ -347,13 +369,13 @@ class _Quadratic:
         self.information = 2 * (self.slopes.conj() @ self.slopes.swapaxes(1, 2)).real
 
     def replace(self, rows: Array, other: _Quadratic, taken: Array) -> None:
-        """Replace rows by the taken ones of another."""
+        """Overwrite rows, in place, with those of `other` that the mask `taken` selects."""
         for name in ("rest", "slopes", "cost", "gradient", "information"):
             getattr(self, name)[rows] = getattr(other, name)[taken]
 
 
 def _limited(step: Array, contacts: int) -> Array:
-    """Return steps with the changes of positions and depths limited to :data:`LIMITS`."""
+    """Limit the changes of positions and depths to :data:`LIMITS` in place; return the steps."""
     for i, largest in enumerate(LIMITS):
         part = slice(i, 2 * contacts, 2)
         step[:, part] = np.clip(step[:, part], -largest, largest)
@@ -363,7 +385,7 @@ def _limited(step: Array, contacts: int) -> Array:
 def _with_velocities(
     prior: Branches, at: Array, precision: Array, posterior: Array
 ) -> tuple[Array, Array]:
-    """Return mean and covariance of the whole state; the velocities follow by regression."""
+    """Return mean and covariance of the whole state: the velocities by regression on the rest."""
     p = prior.parameters
     gain = prior.covariance[:, p:, :p] @ precision
     speed = prior.mean[:, p:] + np.einsum("nij,nj->ni", gain, at - prior.mean[:, :p])

@@ -1,10 +1,11 @@
 """Echo of presses joined by straight tube, and its derivatives by all parameters.
 
 Input reflection matrices are computed press by press, from the last one to the face (Redheffer's
-star product, as in :mod:`acoustube.waves.network`). Derivatives are computed by the adjoint method.
-Take the row vector of the waves that reach the face from a plane, and the column vector of the
-waves that reach the plane from the face. A change of the reflection matrix at that plane changes
-the echo by its product with both vectors.
+star product, as in :mod:`acoustube.waves.network`). Derivatives are computed by the adjoint method:
+a change dR of the reflection matrix at a plane changes the echo by a^T dR b. The row vector a^T
+holds the amplitude of the plane wave that arrives at the face for unit amplitude of each mode that
+leaves the plane towards it. The column vector b holds the amplitudes of the modes that arrive at
+the plane for a plane wave of unit amplitude launched by the face.
 """
 
 from __future__ import annotations
@@ -19,19 +20,19 @@ from acoustube.waves.scattering import Complex
 
 
 class Echo(NamedTuple):
-    """Echo of presses relative to the wave that the face launches, and its derivatives.
+    """Echo of presses relative to the plane wave that the face launches, and its derivatives.
 
     Attributes
     ----------
     value : ndarray
-        Relative echo, (n, n_f).
+        Amplitude of the plane wave that arrives at the face over that launched, (n, n_f).
     by_place : ndarray
         Derivatives by the places of the presses, per m, (n, n_presses, n_f).
     by_depth : ndarray
         Derivatives by the depths of the presses, per m, (n, n_presses, n_f).
     by_temperature : ndarray
-        Derivative by the temperature of the tube, and of matrices that depend on it, per K,
-        (n, n_f).
+        Derivative by temperature, per K, (n, n_f): through the propagation and, on a wrapped tube,
+        through the presses' matrices, but not through the stretch.
     by_stretch : ndarray
         Derivative by the stretch of frequency in the presses' matrices, per relative change of
         frequency, (n, n_f).
@@ -45,7 +46,10 @@ class Echo(NamedTuple):
 
 
 class Waves(NamedTuple):
-    """Axial wavenumbers in 1/m and their derivatives by temperature in 1/(m K), (n, n_f, m)."""
+    """Axial wavenumbers in 1/m, (n, n_f, m), and their derivatives by temperature in 1/(m K).
+
+    The derivatives may have any shape that broadcasts to that of the wavenumbers.
+    """
 
     k: Complex
     by_temperature: Complex
@@ -61,7 +65,7 @@ def echo(
     before : list of Matrices
         One for each press but the last, from the face on.
     last : FrontCoefficients
-        Of the last press.
+        Coefficients of the last press.
     places : ndarray
         Distances of the presses from the face in m, rising, (n, n_presses).
     waves : Waves
@@ -76,7 +80,7 @@ def echo(
     """
     lengths = np.diff(places, axis=1, prepend=0.0)
     m = waves.k.shape[-1]
-    from acoustube.inversion.network_sums import echoes  # Numba, as in `tables`
+    from acoustube.inversion.network_sums import echoes  # imports Numba, not needed by the sensor
 
     k, heat = np.zeros((2, *waves.k.shape[:-1], MOST_MODES), complex)
     k[..., :m], heat[..., :m] = waves.k, waves.by_temperature
@@ -91,7 +95,7 @@ def echo(
 
 
 def _stacked(parts: list[Complex], shape: tuple[int, ...]) -> Complex:
-    """Return matrices of presses padded to three modes, (n_presses, n, n_f, 2, 3, 2, 3)."""
+    """Return one array of matrices padded to three modes, (n_presses, n, n_f, 2, 3, 2, 3)."""
     if len(parts) == 1:
         return padded(parts[0], MOST_MODES)[None]
     found = np.zeros((len(parts), *shape, 2, MOST_MODES, 2, MOST_MODES), complex)

@@ -1,6 +1,6 @@
 """Compiled loops for the echo of presses joined by straight tube, and its derivatives.
 
-They run frequency by frequency. The equations are given in :mod:`acoustube.inversion.network`.
+The loops run frequency by frequency. The equations are in :mod:`acoustube.inversion.network`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,11 @@ from acoustube.waves.scattering import Complex
 
 @compiled
 def _moved(change: Complex, left: Vector, right: Vector, out: Vector, into: Vector) -> complex:
-    """Return the change of the echo by a change of the matrix of any press but the last."""
+    """Return the change of the echo by a change of the matrix of any press but the last.
+
+    `right` and `into` are the waves that arrive at its front and at its back. `left` and `out` are
+    the factors with which waves that leave its front and its back are received at the face.
+    """
     first = plus(apply(block(change, 0, 0), right), apply(block(change, 0, 1), into))
     second = plus(apply(block(change, 1, 0), right), apply(block(change, 1, 1), into))
     return dot(left, first) + dot(out, second)
@@ -75,8 +79,9 @@ def echoes(
     load, loop = np.empty((2, p, 9), np.complex128)
     for a in range(n):
         for f in range(n_f):
-            # From the last press to the face: the reflection matrix seen before each press, and
-            # the inverse of I - B R2 for the multiple reflections behind it.
+            # From the last press to the face: the reflection matrix at the start of the tube before
+            # each press, and, for multiple reflections behind the press, the inverse of I - B R2,
+            # with the reflection matrices B of all that follows and R2 of the back of the press.
             for i in range(p - 1, -1, -1):
                 if i == p - 1:
                     found = kept(last[a, f])
@@ -100,7 +105,8 @@ def echoes(
                 (k[a, f, 0], k[a, f, 1], k[a, f, 2]),
                 (heat[a, f, 0], heat[a, f, 1], heat[a, f, 2]),
             )
-            # From the face on: the waves that reach it from each press, and each press from it.
+            # From the face on: the row vector `left` of the waves that reach the face from a plane,
+            # and the column vector `right` of those that reach the plane from the face.
             for i in range(p):
                 seen = kept(load[i])
                 both = plus(each(left, apply(seen, right)), each(apply_left(left, seen), right))

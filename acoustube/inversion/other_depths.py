@@ -16,14 +16,16 @@ from acoustube.waves.scattering import Complex
 STEP = 0.4e-3
 """Step in m between the depths that are tried."""
 ITERATIONS = 8
-"""Iterations from each of them, unless it is given up."""
+"""Iterations from each of these depths, unless :func:`acoustube.inversion.fit.maximise` gives one
+up."""
 
 
 def other_depths(model: ForwardModel, known: Fits, tools: tuple[int, ...], samples: Complex,
                  whiten: Weights) -> Fits:  # fmt: skip
     """Return maxima of the likelihood that are found from other depths of each press.
 
-    All other parameters start at those of the best fit.
+    The depths tried are more than :data:`STEP` from that of the best fit. All other parameters
+    start at those of the best fit.
 
     Parameters
     ----------

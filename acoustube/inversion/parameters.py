@@ -1,4 +1,8 @@
-"""Parameters of presses: places, depths and nuisances side by side, their bounds and prior odds."""
+"""Parameter vectors of presses, their bounds, and the prior odds of a press.
+
+A vector has 2 n_presses + 6 components: place and depth in m of each press in turn, then the six
+nuisance parameters.
+"""
 
 from __future__ import annotations
 
@@ -14,25 +18,31 @@ CLOSEST = 0.03
 twice this distance."""
 PRESS_ODDS = 2 * np.log([1e4, 1e9, 1e12])
 """Minus twice the logarithms of the prior odds of a first press, a second, and each further one:
-1e-4, 1e-9 and 1e-12. The likelihood takes errors of the model as independent. A false detection far
-behind a press whose trapped sound differs from the model's therefore reaches odds of 1e6 to 1e8, or
-1e11 as a third press. A real second press, in 20 cycles of a pair, had odds of at least 1e14."""
+1e-4, 1e-9 and 1e-12. The likelihood takes errors of the model as independent between samples. A
+false detection far behind a press whose trapped sound differs from the model's therefore reaches
+odds of 1e6 to 1e8 by the data, or 1e11 as a third press. A real second press, in 20 cycles of a
+pair, had odds of at least 1e14."""
 
 
 def split(parameters: Array) -> tuple[Array, Array, Array]:
-    """Return places, depths (n, n_presses) and nuisances (n, 6) of parameters."""
+    """Return places, depths (n, n_presses) and nuisances (n, 6) as views of parameter vectors."""
     m = (parameters.shape[1] - len(NUISANCES)) // 2
     return parameters[:, : 2 * m : 2], parameters[:, 1 : 2 * m : 2], parameters[:, 2 * m :]
 
 
 def joined(places: Array, depths: Array, nuisances: Array) -> Array:
-    """Return parameters of places and depths (n, n_presses) and nuisances (n, 6)."""
+    """Return parameter vectors from places, depths (n, n_presses) and nuisances (n, 6)."""
     presses = np.stack([places, depths], axis=-1).reshape(len(places), -1)
     return np.concatenate([presses, nuisances], axis=1)
 
 
 def bounded(model: ForwardModel, tools: tuple[int, ...], parameters: Array) -> Array:
-    """Return parameters within the ranges of places and depths, with rising places."""
+    """Return a copy of parameter vectors within bounds, (n, 2 n_presses + 6).
+
+    Places and depths are clipped to the ranges of the model, nuisances to six prior standard
+    deviations. Then places are raised until successive presses are :data:`CLOSEST` apart, also
+    beyond the far end of their range.
+    """
     places, depths, nuisances = split(np.array(parameters))
     for i, tool in enumerate(tools):
         places[:, i] = np.clip(places[:, i], *model.span)
@@ -44,7 +54,7 @@ def bounded(model: ForwardModel, tools: tuple[int, ...], parameters: Array) -> A
 
 
 def limited(step: Array) -> Array:
-    """Return steps with changes of places and depths limited to :data:`LARGEST_STEPS`."""
+    """Return a copy of steps, with places and depths limited to :data:`LARGEST_STEPS`."""
     found = step.copy()
     m = (step.shape[1] - len(NUISANCES)) // 2
     for i, largest in enumerate(LARGEST_STEPS):
@@ -53,5 +63,5 @@ def limited(step: Array) -> Array:
 
 
 def odds_of(number: int) -> float:
-    """Return minus twice the logarithm of the prior odds of the n-th press."""
+    """Return minus twice the logarithm of the prior odds of a press, numbered from 1."""
     return float(PRESS_ODDS[min(number, len(PRESS_ODDS)) - 1])

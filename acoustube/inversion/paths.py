@@ -20,12 +20,14 @@ from acoustube.waves.scattering import Complex
 class Section(NamedTuple):
     """Propagation from one press to the next, mode by mode.
 
+    The first section begins at the face or, in a wrapped tube, at the start of the wrap.
+
     Attributes
     ----------
     factor : ndarray
-        Propagation factor of the modes' amplitudes, (n, n_f, m).
+        Propagation factor exp(-j phase) of the modes' amplitudes, (n, n_f, m).
     at_start, at_end : ndarray
-        Wavenumbers in 1/m at the ends of the section, broadcast to (n, n_f, m).
+        Wavenumbers in 1/m at the ends of the section, of a shape that broadcasts to (n, n_f, m).
     by_temperature : ndarray
         Derivative of the phase by temperature, in rad/K, (n, n_f, m).
     """
@@ -42,10 +44,12 @@ class Entry(NamedTuple):
     Attributes
     ----------
     matrix : ndarray
-        Amplitudes of the bent tube's modes at that point for unit amplitudes of the straight tube's
-        modes at the face, (n, n_f, m, m_s). Its transpose holds for the opposite direction.
+        Amplitudes of the bent tube's m modes at that point for unit amplitudes of the straight
+        tube's m_s modes at the face, (n, n_f, m, m_s). Its transpose holds for the opposite
+        direction.
     by_temperature : ndarray
-        Derivative of the phases of the straight modes up to that point, in rad/K, (n_f, m_s).
+        Derivatives by temperature of the straight modes' phases from the face to that point, in
+        rad/K, (n_f, m_s).
     """
 
     matrix: Complex
@@ -53,14 +57,17 @@ class Entry(NamedTuple):
 
 
 class Path(Protocol):
-    """Propagation along a tube.
+    """Interface of the propagation along a straight or a wrapped tube.
+
+    Temperatures are deviations in K from the nominal one.
 
     Attributes
     ----------
     modes : int
-        Number of modes that propagate between presses.
+        Number m of modes that propagate between presses.
     stretch : float
-        Largest length in m over which the presses' matrices are taken as constant.
+        Length in m of tube over which a search takes the presses' matrices as constant; infinite
+        where they do not vary along the tube.
     converts : bool
         Whether the joints at a press convert modes, so that all coefficients of its matrix are
         needed, also of the last press.
@@ -71,25 +78,35 @@ class Path(Protocol):
     converts: bool
 
     def span(self, nearest: float, length: float) -> tuple[float, float]:
-        """Return the range of places in m where presses are sought."""
+        """Return the range of places in m where presses are sought.
+
+        `nearest` is the nearest place that can be located, `length` the length of the tube, in m.
+        """
 
     def entry(self, temperature: Array) -> Entry | None:
-        """Return the propagation to the bend, if any, at deviations of temperature in K, (n,)."""
+        """Return the propagation from face to bend at temperatures (n,); None without a bend."""
 
     def sections(self, places: Array, temperature: Array) -> list[Section]:
-        """Return the propagation before each press, at places (n, n_presses) in m."""
+        """Return the sections before presses at places (n, n_presses) in m, temperatures (n,)."""
 
     def joined(self, matrices: Matrices, place: Array, temperature: Array) -> Matrices | Joined:
-        """Return presses at places (n,), with matrices between the modes of the sections."""
+        """Return a press's scattering between the modes of the sections, at places (n,) in m."""
 
     def phases(self, places: Array, temperature: float, *, behind: bool = False) -> Complex:
-        """Return the modes' phases in rad before or behind presses at places (n,), (n, n_f, m)."""
+        """Return the modes' one-way phases in rad up to presses at places (n,) in m, (n, n_f, m).
+
+        They begin where the modes of the sections do. They end at the front of each press or, if
+        `behind` is true, at its back.
+        """
 
     def plane(self, places: Array) -> tuple[Complex, Complex]:
-        """Return the plane wave's phases in rad at places (n,), and changes per K, (n_f, n)."""
+        """Return the plane wave's one-way phases from the face to places (n,) in m, (n_f, n).
+
+        In rad, and their derivatives by temperature in rad/K.
+        """
 
     def place_at(self, time: Array) -> Array:
-        """Return the distances in m whose echoes of the plane wave arrive at times in s."""
+        """Return the distances in m of reflectors from the delays in s of plane-wave echoes."""
 
 
 class StraightPath:
@@ -100,7 +117,7 @@ class StraightPath:
     k, by_temperature : ndarray
         Axial wavenumbers in 1/m and their derivatives in 1/(m K), the plane wave's first, (n_f, m).
     speed : float
-        Of sound, in m/s.
+        Speed of sound in m/s.
     """
 
     stretch = np.inf
@@ -111,7 +128,7 @@ class StraightPath:
         self.modes = k.shape[1]
 
     def span(self, nearest: float, length: float) -> tuple[float, float]:
-        """Return the range of places in m where presses are sought."""
+        """Return the range of places in m where presses are sought: to 2 cm before the far end."""
         return nearest, length - 0.02
 
     def entry(self, temperature: Array) -> Entry | None:  # noqa: ARG002
@@ -119,7 +136,7 @@ class StraightPath:
         return None
 
     def sections(self, places: Array, temperature: Array) -> list[Section]:
-        """Return the propagation before each press, at places (n, n_presses) in m."""
+        """Return the sections before presses at places (n, n_presses) in m, temperatures (n,)."""
         k = self.k + temperature[:, None, None] * self.by_temperature
         lengths = np.diff(places, axis=1, prepend=0.0)[:, :, None, None]
         return [
@@ -128,26 +145,38 @@ class StraightPath:
         ]
 
     def joined(self, matrices: Matrices, place: Array, temperature: Array) -> Matrices:  # noqa: ARG002
-        """Return the matrices: the modes of the sections are those of the presses."""
+        """Return the matrices unchanged: the modes of the sections are those of the presses."""
         return matrices
 
     def phases(self, places: Array, temperature: float, *, behind: bool = False) -> Complex:  # noqa: ARG002
-        """Return the modes' phases in rad at places (n,) in m, (n, n_f, m)."""
+        """Return the modes' phases in rad from the face to places (n,) in m, (n, n_f, m)."""
         return np.asarray(places[:, None, None] * (self.k + temperature * self.by_temperature))
 
     def plane(self, places: Array) -> tuple[Complex, Complex]:
-        """Return the plane wave's phases in rad at places (n,), and changes per K, (n_f, n)."""
+        """Return the plane wave's phases in rad up to places (n,), and changes per K, (n_f, n)."""
         return np.outer(self.k[:, 0], places), np.outer(self.by_temperature[:, 0], places)
 
     def place_at(self, time: Array) -> Array:
-        """Return the distances in m whose echoes of the plane wave arrive at times in s."""
+        """Return the distances in m of reflectors from the delays in s of plane-wave echoes."""
         return np.asarray(time * self.speed / 2)
 
 
 def stretches(
     path: Path, low: float, high: float, fronts: Sequence[float]
 ) -> list[tuple[float, int]]:
-    """Return places in m from which new templates apply, with the number of presses before each."""
+    """Return the starts in m of stretches of tube, each with the number of presses before it.
+
+    The tube is divided at the presses and, where their matrices vary along it, into stretches of
+    about ``path.stretch``.
+
+    Parameters
+    ----------
+    path : Path
+    low, high : float
+        Ends of the part of the tube that is divided, in m.
+    fronts : sequence of float
+        Places of the presses in m, rising.
+    """
     edges = [low, *fronts, high]
     found = []
     for number, (start, stop) in enumerate(pairwise(edges)):

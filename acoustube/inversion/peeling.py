@@ -17,13 +17,13 @@ PARTS = 0.7e-3, 1.2e-3
 EXPLAINED = 1.5
 """Mean square of the whitened residual up to which a hypothesis explains the recording."""
 LEADING = 0.1
-"""Level at which an echo begins, relative to the highest level soon after: the edges of the band
-make it ring before its onset."""
+"""Level at which an echo begins, relative to the highest level within :data:`AHEAD`. Lower levels
+before it are the echo's ringing ahead of its onset, due to the edges of the band."""
 AHEAD = 0.5e-3
-"""Time in s after a sample within which that highest level is taken."""
+"""Time in s after a sample within which the highest level is taken."""
 EARLIER = 0.3
-"""Distance in m by which the search for a press begins before its apparent place, besides half the
-length of the drive: the first part of its echo may be too weak to be seen."""
+"""Distance in m by which the search for a press begins before its apparent place, in addition to
+half the length of the drive: the first part of the echo may be too weak to be seen."""
 BEAM = 2
 """Number of hypotheses that are followed for each number of presses."""
 ALIKE = 1e-3
@@ -32,6 +32,9 @@ ALIKE = 1e-3
 
 def peeled(builder: Builder, most: int) -> list[list[Hypothesis]]:
     """Return hypotheses of one press, two and so on, each fitted to the first part of a recording.
+
+    For each number there are up to :data:`BEAM`, the best first. The list ends early where no
+    further press is found.
 
     Parameters
     ----------
@@ -51,7 +54,10 @@ def peeled(builder: Builder, most: int) -> list[list[Hypothesis]]:
 
 
 def _with_next(builder: Builder, known: Hypothesis) -> list[Hypothesis]:
-    """Return hypotheses with the next press in time; the residual is that of the fitted part."""
+    """Return hypotheses with the next press in time, whose `residual` is that of the fitted part.
+
+    There are none if no echo begins in the residual.
+    """
     rest = builder.residual_of(known)
     base = builder.model.base
     start = leading_edge(np.abs(known.whiten(rest)), base.interval)
@@ -73,7 +79,7 @@ def _with_next(builder: Builder, known: Hypothesis) -> list[Hypothesis]:
 
 
 def leading_edge(level: Array, step: float) -> int | None:
-    """Return the sample at which an echo begins in whitened samples, or None.
+    """Return the index of the sample at which an echo begins; None if none does before the last 8.
 
     Parameters
     ----------

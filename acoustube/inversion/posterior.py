@@ -25,7 +25,7 @@ class Estimate:
     Attributes
     ----------
     value : float
-        Value at the most likely maximum.
+        Value at the most likely maximum: the first mean of the mixture.
     deviation : float
         Standard deviation of the posterior.
     intervals : dict of float
@@ -43,7 +43,7 @@ class Estimate:
     deviations: Array
 
     def density(self, value: ArrayLike) -> Array:
-        """Return the probability density at values, (n,)."""
+        """Return the probability density at values, (n_values,), per unit of the quantity."""
         off = (np.asarray(value)[:, None] - self.means) / self.deviations
         return np.asarray(
             np.exp(-(off**2) / 2) / np.sqrt(2 * pi) @ (self.weights / self.deviations)
@@ -52,6 +52,9 @@ class Estimate:
 
 class Posterior:
     """Mixture of normal distributions, one about each maximum of a hypothesis.
+
+    Where the mean square of the hypothesis's whitened residual exceeds 1, Laplace's variances are
+    multiplied by it and the logarithms of the weights are divided by it.
 
     Parameters
     ----------
@@ -72,7 +75,10 @@ class Posterior:
         self.weight /= self.weight.sum()
 
     def estimate(self, parameter: int, error: float = 0.0) -> Estimate:
-        """Return the marginal distribution of a parameter, with a further independent `error`."""
+        """Return the marginal distribution of the parameter of an index.
+
+        An independent error of standard deviation `error` is added.
+        """
         deviation = np.sqrt(self.variance[:, parameter] + error**2)
         return mixture(self.weight, self.mean[:, parameter], deviation)
 
@@ -84,7 +90,7 @@ class Posterior:
     ) -> Estimate:
         """Return the distribution of an increasing function of a parameter.
 
-        The error of the function itself is added.
+        The function is linearised about each maximum. Its own error is added.
 
         Parameters
         ----------
@@ -107,8 +113,8 @@ def mixture(weight: Array, mean: Array, deviation: Array) -> Estimate:
     Parameters
     ----------
     weight, mean, deviation : ndarray
-        Weights, means and standard deviations of the normal distributions, the most likely first,
-        (n,).
+        Weights, of sum 1, means and standard deviations of the normal distributions, (n,). The
+        first mean is the value of the estimate.
     """
     deviation = np.maximum(deviation, 1e-15)
     if len(mean) == 1:

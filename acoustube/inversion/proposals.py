@@ -2,9 +2,9 @@
 
 First a matched filter for the plane wave alone is applied, in some milliseconds. It is that of
 :mod:`acoustube.inversion.search`, but the quantities that do not depend on the cycle are computed
-beforehand: the phase factors of the places, and the energies of the echoes in the noise of an
-untouched tube. Where this filter detects an echo, all modes are used: behind a contact, and in
-bends, sound arrives by several modes, centimetres apart.
+beforehand: the phase factors of the places, and the energies of the echoes whitened with the noise
+of an untouched tube. If this filter detects an echo, the search with all modes follows: behind a
+contact, and in bends, sound arrives by several modes, whose apparent places are centimetres apart.
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ from acoustube.inversion.tables import Matrices
 from acoustube.waves.scattering import Complex
 
 PLACE_STEP, DEPTH_STEP = 3e-3, 0.25e-3
-"""Steps of place and depth in m in the coarse search."""
+"""Steps of place and depth in m in the search with the plane wave. The step of depth is also that
+of the search with all modes."""
 NODES = 0.15
 """Spacing in m of the places at which the energies of echoes are computed."""
 WORTH, MORE_PLACES = 40.0, 2
-"""Gain with the plane wave from which all modes are tried, and number of places added to the search
-with all modes."""
+"""Expected decrease of the cost with the plane wave alone from which on all modes are tried, and
+number by which the places kept in the search with all modes are then increased."""
 SMOOTHED = 0.4e-3
 """Time in s over which the precision of the samples is averaged: the length of an echo."""
 
@@ -45,9 +46,9 @@ class PlaneFilter:
     ----------
     model : ForwardModel
     tool : int
-        Number of the tool in the library.
+        Index of the tool in the library.
     noise : float
-        Typical variance of a sample of a cycle.
+        Typical variance of a baseband sample of a cycle, in counts squared.
     """
 
     def __init__(self, model: ForwardModel, tool: int, noise: float) -> None:
@@ -75,7 +76,7 @@ class PlaneFilter:
         zones = np.searchsorted(starts, nodes, side="right") - 1
         turned = np.exp(-2j * self._phases(nodes))
         spectra = np.stack([shapes[zone] * one for zone, one in zip(zones, turned, strict=True)], 1)
-        # The mean of both phases, whose energies differ in samples below the Nyquist rate.
+        # Mean over two phases of the echo: the energy depends on the phase in folded basebands.
         power = [np.abs(quiet(base.transformed(turn * spectra))) ** 2 for turn in (1, 1j)]
         level = np.log(np.maximum(np.sum(power, axis=(0, -1)) / 2, 1e-300))
         share = np.interp(self.places, nodes, np.arange(len(nodes)))
@@ -91,15 +92,18 @@ class PlaneFilter:
         fronts: list[Front],
         within: tuple[float, float] | None = None,
     ) -> float:
-        """Return the highest expected gain of one more contact.
+        """Return the largest expected decrease of the cost by one more contact.
+
+        The cost is minus twice the log likelihood. The result is minus infinity if no place remains
+        to be searched.
 
         Parameters
         ----------
         rest : ndarray
-            Residual in the baseband, (n_time,).
+            Residual in the baseband, in counts, (n_time,).
         whiten : Weights
         fronts : list of Front
-            Waves behind the known contacts, in the order of place.
+            Waves transmitted by the known contacts, in the order of place.
         within : (float, float), optional
             Range of places in m to which the search is limited.
         """
@@ -128,14 +132,14 @@ class PlaneFilter:
         return float(gain.max())
 
     def _phases(self, places: Array, *, behind: bool = False) -> Complex:
-        """Return the plane wave's one-way phases in rad, (n, n_f), complex with losses.
+        """Return the plane wave's one-way phases in rad, complex with losses, (n, n_f).
 
-        They are those up to presses at places in m, (n,), or behind these presses.
+        They end at the front of presses at places (n,) in m or, if `behind` is true, at their back.
         """
         return self.model.path.phases(places, 0.0, behind=behind)[..., 0]
 
     def _dimmed(self, whiten: Weights) -> Array:
-        """Return the precision at the echoes of places, relative to that without contacts, (n,)."""
+        """Return the precision at the echo of each place over that without contacts, (n,)."""
         base = self.model.base
         ratio = _precision(whiten) / self.quiet
         width = max(1, round(SMOOTHED / base.interval))
@@ -168,14 +172,15 @@ class Proposals:
         within: tuple[float, float] | None = None,
         temperature: float = 0.0,
     ) -> Candidates:
-        """Return candidates for one more contact, none if the gain with the plane wave is small.
+        """Return candidates for one more contact; none if the plane wave gains less than `WORTH`.
 
         Parameters
         ----------
         rest, whiten, fronts, within
             See :meth:`PlaneFilter.highest`.
         number, fine : int
-            Number of places, to which :data:`MORE_PLACES` is added, and of candidates at each.
+            Largest number of places, to which :data:`MORE_PLACES` is added, and of candidates at
+            each place.
         temperature : float
             Deviation of the temperature in K.
         """
@@ -194,5 +199,5 @@ def _reflection(model: ForwardModel, matrices: Matrices, place: float) -> Comple
 
 
 def _precision(whiten: Weights) -> Array:
-    """Return the diagonal of the inverse of the covariance, (n_time,)."""
+    """Return the precision of each sample: the diagonal of the inverse covariance, (n_time,)."""
     return np.asarray(np.sum(np.abs(whiten.matrix) ** 2, axis=0))

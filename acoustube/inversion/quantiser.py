@@ -1,8 +1,8 @@
 """Voltage estimated from cycles of a rounding converter with little dither.
 
-With noise of a fifth of a count, the mean of rounded samples is a smoothed staircase function of
-the voltage. A weak echo is then recorded with 0.3 to 1.7 times its amplitude, depending on the
-offset. Since offset and noise are known, the staircase can be inverted.
+With noise of 0.23 counts (rms), the mean of rounded samples is a smoothed staircase function of the
+voltage. A weak echo is then recorded with 0.31 to 1.75 times its amplitude, depending on the
+offset. Since the noise is known and the offset can be estimated, the staircase can be inverted.
 
 References
 ----------
@@ -20,10 +20,12 @@ from numpy.typing import NDArray
 from acoustube.base.types import Array
 
 HARMONICS = 3
+"""Number of terms of the staircase's Fourier series."""
 LEAST_NOISE, MOST_NOISE = 0.19, 0.6
 """Least rms noise in counts at which the staircase can be inverted, and largest at which it needs
 to be."""
 ITERATIONS = 6
+"""Number of Gauss-Newton iterations."""
 BISECTIONS = 20
 """Bisections of an interval of one count, by which an offset is found to 1e-6 counts."""
 LARGEST_STEP = 0.3
@@ -38,8 +40,8 @@ class Linearised(NamedTuple):
     mean : ndarray
         Voltage in counts, without offset, (n_samples,).
     deviations : ndarray
-        Deviations in counts whose mean over the cycles is an error of `mean`,
-        (n_cycles, n_samples).
+        Deviations of the single cycles in counts, (n_cycles, n_samples). They are scaled such that
+        the error of `mean` has the statistics of their mean over the cycles.
     """
 
     mean: Array
@@ -52,7 +54,7 @@ def linearised(counts: NDArray[np.generic], noise: float, quiet: int) -> Lineari
     Parameters
     ----------
     counts : ndarray
-        (n_cycles, n_samples).
+        Recorded counts, (n_cycles, n_samples).
     noise : float
         Standard deviation of the noise before rounding, in counts; 0 for cycles that are not
         rounded.
@@ -61,9 +63,9 @@ def linearised(counts: NDArray[np.generic], noise: float, quiet: int) -> Lineari
 
     Notes
     -----
-    Least squares over the cycles, whose offsets drift, by Gauss-Newton iterations. With too little
-    noise to invert the staircase, or so much that no correction is needed, the plain mean of the
-    cycles is returned.
+    The staircase is inverted by least squares over the cycles, each with its own offset, by
+    Gauss-Newton iterations. With too little noise to invert the staircase, or so much that no
+    correction is needed, the plain mean of the cycles less its offset is returned.
     """
     given = np.asarray(counts, float)
     if not LEAST_NOISE <= noise <= MOST_NOISE:
@@ -81,7 +83,10 @@ def linearised(counts: NDArray[np.generic], noise: float, quiet: int) -> Lineari
 
 
 def _staircase(voltage: Array, noise: float) -> tuple[Array, Array]:
-    """Return the mean in counts of rounded noisy samples of a voltage in counts, and its slope."""
+    """Return the mean in counts of rounded noisy samples of a voltage, and its derivative by it.
+
+    Voltage and rms noise are in counts.
+    """
     # One sine and cosine; those of the multiples of the angle by recurrence.
     turn = np.exp(2j * np.pi * voltage)
     power, value, slope = np.ones_like(turn), voltage.copy(), np.ones_like(voltage)
@@ -94,7 +99,7 @@ def _staircase(voltage: Array, noise: float) -> tuple[Array, Array]:
 
 
 def _inverted(mean: Array, noise: float) -> Array:
-    """Return the voltages in counts whose rounded samples have given means, by bisection."""
+    """Return the voltages in counts whose noisy rounded samples have given means, by bisection."""
     low, high = mean - 0.5, mean + 0.5
     for _ in range(BISECTIONS):
         middle = (low + high) / 2

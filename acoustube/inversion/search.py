@@ -23,8 +23,8 @@ COARSE, FINE, FINE_REACH = 3e-3, 0.5e-3, 12e-3
 DEPTH_STEP = 0.125e-3
 """Step in m between the depths of templates."""
 NODES, NODES_BEHIND = 0.05, 0.01
-"""Spacing in m of the places at which the energies of templates are computed, before the first
-known press and behind a press, where modes beat over 2 cm."""
+"""Spacing in m of the places at which the energies of templates are computed: where only the plane
+mode travels, and where several modes do, which beat over 2 cm, as behind a press."""
 APART = 0.03
 """Least distance in m between candidates that count as different places."""
 DISTINCT = 1.5e-3, 0.5e-3
@@ -34,12 +34,13 @@ KEPT = 40
 CHUNK = 40
 """Number of nodes whose templates are computed at once."""
 BEFORE, LASTING = 1e-3, 5e-3
-"""Times in s before the arrival of a template and after the end of the drive in it, between which
-its energy is computed. In the latter, the power of sound that is trapped under a press decays by a
-factor of 1000. Modes near their cut-on arrive later, with up to 6 % of the energy 0.6 m behind a
-press."""
+"""Times in s before the arrival of a template, and after the end of the drive in it, between which
+its energy is computed. Within the second, the power of sound that is trapped under a press decays
+by a factor of 1000. Modes near their cut-on arrive later, with up to 6 % of the energy 0.6 m behind
+a press."""
 FAINTEST = 1e-9
-"""Least energy relative to the highest at a place; lower ones are rounding errors."""
+"""Floor of the energies of templates at a place, relative to the highest of them, below which they
+are rounding errors."""
 
 
 class Front(NamedTuple):
@@ -65,7 +66,7 @@ class Candidates(NamedTuple):
     Attributes
     ----------
     gain : ndarray
-        Expected decrease of the cost.
+        Expected decrease of the cost, which is minus twice the log likelihood.
     place, depth : ndarray
         Place and depth in m.
     """
@@ -82,9 +83,9 @@ class Templates:
     ----------
     model : ForwardModel
     tool : int
-        Number of the tool in the library.
+        Index of the tool in the library.
     step : float
-        Step of depth in m.
+        Step in m between the depths of the templates.
     """
 
     def __init__(self, model: ForwardModel, tool: int, step: float = DEPTH_STEP) -> None:
@@ -115,7 +116,7 @@ class Templates:
         Parameters
         ----------
         residual : ndarray
-            Residual in the baseband, (n_time,).
+            Residual in the baseband, in counts, (n_time,).
         whiten : Weights
         fronts : list of Front
             Transmitted waves behind each press already found, in the order of place.
@@ -124,7 +125,7 @@ class Templates:
         within : (float, float), optional
             Range of places in m to which the search is limited.
         least : float
-            Decrease of the cost that the best candidate must exceed; otherwise there is none.
+            Candidates are returned only if the best expected decrease of the cost exceeds this.
         temperature : float
             Deviation of the temperature in K.
         """
@@ -149,7 +150,10 @@ class Templates:
         return candidates(found)
 
     def _refined(self, zone: _Zone, place: float, count: int) -> list[tuple[float, float, float]]:
-        """Return the highest separate maxima of the gain near a place, with the echo's phase."""
+        """Return gain, place and depth of the highest separate maxima of the gain near a place.
+
+        Unlike in the coarse search, the phase of the echo has to agree.
+        """
         places = place + np.arange(-FINE_REACH, FINE_REACH + 1e-9, FINE)
         gain = 2 * (2 * zone.correlation(places).real - zone.energy_at(places))
         return separate(gain, places, self.depths, count)
@@ -157,9 +161,9 @@ class Templates:
     def _zones(
         self, fronts: list[Front], temperature: float, field: Complex
     ) -> tuple[list[_Zone], Array]:
-        """Return templates for the tube before, between and behind presses, and their starts in m.
+        """Return templates of the tube before, between and behind presses, and their starts in m.
 
-        Where the matrices of presses vary along the tube, these parts are divided into stretches.
+        These parts are divided further where the matrices of presses vary along the tube.
         """
         path, gain = self.model.path, self.model.base.gain
         before = [at_face(self.model, temperature), *fronts]
@@ -197,10 +201,11 @@ class _Zone:
     Parameters
     ----------
     parts : list of (ndarray, int, int)
-        Spectra at the origin for all depths, (n_depths, n_f), and their modes there and back.
+        Spectra at the origin for all depths, (n_depths, n_f), and the indices of the modes in which
+        they travel to the press and back.
     path : Path
     front : Front
-        Waves at the origin, behind which the stretch lies.
+        Waves at the origin: at the last press before the stretch, or at the face.
     warmer : float
         Deviation of the temperature in K.
     field : ndarray
@@ -229,7 +234,7 @@ class _Zone:
         precision : ndarray
             Inverse of the covariance of the first samples, transposed, (n, n).
         places : ndarray
-            In m, rising.
+            Distances from the face in m, rising, (n_places,).
         """
         step = NODES_BEHIND if len(self.parts) > 1 else NODES
         low, high = places[0] - FINE_REACH - step, places[-1] + FINE_REACH + 2 * step
@@ -247,7 +252,7 @@ class _Zone:
         self.level = np.log(np.maximum(np.maximum(energy, least), 1e-30).T)
 
     def energy_at(self, places: Array) -> Array:
-        """Return energies (n_depths, n_places), interpolated exponentially between nodes."""
+        """Return energies (n_depths, n_places) at places, interpolated exponentially."""
         share = np.clip((places - self.nodes[0]) / (self.nodes[1] - self.nodes[0]), 0, None)
         i = np.minimum(share.astype(int), len(self.nodes) - 2)
         share = np.clip(share - i, 0, 1)
@@ -275,7 +280,7 @@ class _Zone:
         return np.asarray(np.moveaxis(found, 0, -1))
 
     def _factors(self, places: Array) -> Complex:
-        """Return the parts' factors from origin to places and back, (n_places, n_parts, n_f)."""
+        """Return the propagation factors of parts to places and back, (n_places, n_parts, n_f)."""
         modes = propagation_factor(self.phases(places))
         return np.stack([modes[..., a] * modes[..., b] for _, a, b in self.parts], axis=1)
 
@@ -291,18 +296,18 @@ def propagation_factor(phases: Complex) -> Complex:
 
 
 def around(place: float) -> tuple[float, float]:
-    """Return the range of places in m that belong to a maximum at a place."""
+    """Return the range of places in m about a place within which its maximum is refined."""
     return place - FINE_REACH, place + FINE_REACH
 
 
 def within_range(places: Array, limits: tuple[float, float] | None) -> NDArray[np.bool_]:
-    """Return whether places (n,) lie within limits; without limits, all do."""
+    """Return the mask of places (n,) within limits, both included; without limits, of all."""
     low, high = limits or (-np.inf, np.inf)
     return np.asarray((places >= low) & (places <= high))
 
 
 def exclude(gain: Array, places: Array, known: Sequence[float], sought: NDArray[np.bool_]) -> None:
-    """Set gains (n_depths, n_places) to minus infinity near known presses and where not sought."""
+    """Set gains (n_depths, n_places), in place, to -inf near known presses and where not sought."""
     for place in known:
         gain[:, np.abs(places - place) < CLOSEST] = -np.inf
     gain[:, ~sought] = -np.inf
@@ -325,7 +330,7 @@ def separate(
 ) -> list[tuple[float, float, float]]:
     """Return gain, place and depth of the highest separate maxima of a gain (n_depths, n_places).
 
-    The array of gains is overwritten.
+    Depths and places are evenly spaced. The array of gains is overwritten.
     """
     rows = round(DISTINCT[1] / (depths[1] - depths[0]))
     columns = round(DISTINCT[0] / (places[1] - places[0]))
@@ -346,7 +351,10 @@ def candidates(found: list[tuple[float, float, float]]) -> Candidates:
 
 
 def at_face(model: ForwardModel, temperature: float) -> Front:
-    """Return the front of no press: the plane wave from the face, in the modes of the path."""
+    """Return the front without a press: the plane wave from the face, in the modes of the path.
+
+    Its place is the face or, in a wrapped tube, minus infinity: the modes begin at the wrap.
+    """
     entry = model.path.entry(np.array([temperature]))
     if entry is None:
         plane = np.zeros((len(model.base.frequency), model.path.modes), complex)
@@ -358,7 +366,10 @@ def at_face(model: ForwardModel, temperature: float) -> Front:
 def front_of(
     model: ForwardModel, tools: tuple[int, ...], places: Array, depths: Array, nuisances: Array
 ) -> list[Front]:
-    """Return the waves behind each of several presses, without multiple reflections."""
+    """Return the waves behind each of several presses, without multiple reflections.
+
+    Places and depths are in m, (n_presses,), and nuisances (6,).
+    """
     path, warm = model.path, nuisances[:1]
     stretch = model.stretch + model.stretch_by_temperature * warm + nuisances[5:6]
     _, into, out = at_face(model, float(warm[0]))

@@ -18,12 +18,14 @@ Compiled = Callable[[Callable[..., Any]], Callable[..., Any]]
 OPTIONS: dict[str, Any] = {
     "cache": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz"},
 }  # fmt: skip
+"""Options of Numba's compiler: machine code is cached on disk, and sums may be reordered."""
 compiled: Compiled = numba.njit(**OPTIONS, forceinline=True)
+"""Decorator that compiles a function and inlines it in its callers."""
 
 
 @compiled
 def block(s: Complex, out: int, into: int) -> Matrix:
-    """Return the block of a scattering matrix (2, 3, 2, 3) from side `into` to side `out`."""
+    """Return the block of a scattering matrix (2, 3, 2, 3) from port `into` to port `out`."""
     return (
         s[out, 0, into, 0], s[out, 0, into, 1], s[out, 0, into, 2],
         s[out, 1, into, 0], s[out, 1, into, 1], s[out, 1, into, 2],
@@ -85,7 +87,7 @@ def unit_less(a: Matrix) -> Matrix:
 
 @compiled
 def inverse(a: Matrix) -> Matrix:
-    """Return the inverse, by cofactors."""
+    """Return the inverse of a matrix, by cofactors."""
     c0, c1, c2 = a[4] * a[8] - a[5] * a[7], a[5] * a[6] - a[3] * a[8], a[3] * a[7] - a[4] * a[6]
     x = 1 / (a[0] * c0 + a[1] * c1 + a[2] * c2)
     return (
@@ -107,7 +109,7 @@ def scaled(rows: Vector, a: Matrix, columns: Vector) -> Matrix:
 
 @compiled
 def apply(a: Matrix, v: Vector) -> Vector:
-    """Return a v."""
+    """Return the product a v of a matrix and a vector."""
     return (
         a[0] * v[0] + a[1] * v[1] + a[2] * v[2], a[3] * v[0] + a[4] * v[1] + a[5] * v[2],
         a[6] * v[0] + a[7] * v[1] + a[8] * v[2],

@@ -6,18 +6,13 @@ vectorised.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from acoustube.base.types import Array
+from acoustube.inversion.small_matrices import OPTIONS
 from acoustube.waves.scattering import Complex
-
-OPTIONS: dict[str, Any] = {
-    "cache": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz"},
-}  # fmt: skip
 
 
 @numba.njit(**OPTIONS)
@@ -29,15 +24,15 @@ def sums(
     places: Array,
     rates: Array,
 ) -> Array:
-    """Return a spline's values and its derivatives by depth and by a shift of the frequencies.
+    """Return a spline's values and its derivatives by depth and by a stretch of the frequencies.
 
     Cubic Hermite interpolation over the depths, cubic B-splines over the frequencies.
 
     Parameters
     ----------
     values, slopes : ndarray
-        B-spline coefficients over frequency, and their derivatives by depth, at each of `depths`,
-        (n_depths, n_c, q).
+        B-spline coefficients over frequency of q real functions, and their derivatives by depth, at
+        each of `depths`, (n_depths, n_c, q).
     depths : ndarray
         Depths of the coefficients, rising, in m, (n_depths,).
     depth : ndarray
@@ -46,12 +41,12 @@ def sums(
         Positions of the frequencies to interpolate to, in steps of the coefficients, rising,
         (n, n_f).
     rates : ndarray
-        Derivatives of these positions by the shift, (n_f,).
+        Derivatives of these positions by the stretch, (n_f,).
 
     Returns
     -------
     ndarray
-        Values, derivatives by depth and derivatives by the shift, (3, n, n_f, q).
+        Values, derivatives by depth and derivatives by the stretch, (3, n, n_f, q).
     """
     n, n_f = places.shape
     count, q = values.shape[1:]
@@ -95,16 +90,17 @@ def sums(
 def between(
     values: NDArray[np.complex64], slopes: NDArray[np.complex64], rows: Array, columns: Array
 ) -> Complex:
-    """Interpolate evenly spaced tables: values, derivatives by column and by row, (3, n, n_f).
+    """Return values of an evenly spaced table, and derivatives by column and by row, (3, n, n_f).
 
-    Cubic Hermite interpolation over the rows, linear over the columns; all lengths in steps.
+    Cubic Hermite interpolation over the rows, linear over the columns. Positions are in steps, and
+    derivatives are per step.
 
     Parameters
     ----------
     values, slopes : ndarray
-        Values and their derivatives by row, (n_rows, n_columns, n_f).
+        Values at the nodes, and their derivatives by row, (n_rows, n_columns, n_f).
     rows, columns : ndarray
-        Positions to interpolate to, in steps, within the tables, (n,).
+        Positions to interpolate to, (n,): from 0 to less than n_rows - 1 and n_columns - 1.
     """
     n_f = values.shape[2]
     found = np.empty((3, len(rows), n_f), np.complex128)

@@ -24,7 +24,8 @@ EARLIEST, DECAY, FAINTEST = -0.4e-3, 0.7e-3, 1e-7
 """Start in s of the impulse response of a press, relative to a reflection at its reference plane;
 decay time in s of its power; floor of its power, relative to the largest."""
 MOST_MODES = 3
-"""Number of modes that propagate between presses: those with cut-ons below 1.2 times 42 kHz."""
+"""Largest number of modes that propagate between presses: those of the default bore with cut-ons
+below 1.2 times 42 kHz."""
 ONWARDS, BACK = 9, 10
 """Indices of the transmission coefficients in :class:`FrontCoefficients`."""
 ROUNDING = 1e-5
@@ -34,13 +35,16 @@ ROUNDING = 1e-5
 class Matrices(NamedTuple):
     """Scattering matrices of presses and their derivatives; each (n, n_f, 2, m, 2, m).
 
+    The axes after frequency are port and mode of the outgoing, then of the incoming wave.
+
     Attributes
     ----------
     value : ndarray
+        Scattering matrices.
     by_depth : ndarray
-        Per m.
+        Derivatives by depth, per m.
     by_stretch : ndarray
-        Per relative change of frequency.
+        Derivatives by the stretch, per relative change of frequency.
     """
 
     value: Complex
@@ -48,7 +52,10 @@ class Matrices(NamedTuple):
     by_stretch: Complex
 
     def transmission(self) -> tuple[Complex, Complex, Complex]:
-        """Return the plane wave's two-way transmission, and derivatives by depth and stretch."""
+        """Return the plane wave's two-way transmission, and derivatives by depth and stretch.
+
+        Each is (n, n_f).
+        """
         return round_trip(
             [one[..., 1, 0, 0, 0] for one in self], [one[..., 0, 0, 1, 0] for one in self]
         )
@@ -57,17 +64,18 @@ class Matrices(NamedTuple):
 class FrontCoefficients(NamedTuple):
     """Reflection at the front of presses, and transmission onwards and back, with derivatives.
 
-    The echo of a press with no other press behind it depends on these alone. Each is (n, n_f, 11):
-    the reflection coefficients between three modes, row by row, and the plane wave's transmission
-    coefficients onwards and back.
+    The echo of a press with no other press behind it depends on these alone. Each attribute is
+    (n, n_f, 11): the reflection coefficients between three modes, row by row, then the plane wave's
+    transmission coefficients onwards and back.
 
     Attributes
     ----------
     value : ndarray
+        Coefficients.
     by_depth : ndarray
-        Per m.
+        Derivatives by depth, per m.
     by_stretch : ndarray
-        Per relative change of frequency.
+        Derivatives by the stretch, per relative change of frequency.
     """
 
     value: Complex
@@ -75,19 +83,25 @@ class FrontCoefficients(NamedTuple):
     by_stretch: Complex
 
     def transmission(self) -> tuple[Complex, Complex, Complex]:
-        """Return the plane wave's two-way transmission, and derivatives by depth and stretch."""
+        """Return the plane wave's two-way transmission, and derivatives by depth and stretch.
+
+        Each is (n, n_f).
+        """
         return round_trip([one[..., ONWARDS] for one in self], [one[..., BACK] for one in self])
 
 
 def round_trip(there: list[Complex], here: list[Complex]) -> tuple[Complex, Complex, Complex]:
-    """Return the two-way transmission coefficient and its derivatives, from the one-way ones."""
+    """Return the two-way transmission coefficient and its derivatives by depth and stretch.
+
+    `there` and `here` hold the one-way coefficients and the same derivatives of each.
+    """
     by_depth, by_stretch = (there[i] * here[0] + there[0] * here[i] for i in (1, 2))
     return there[0] * here[0], by_depth, by_stretch
 
 
 @lru_cache(maxsize=8)
 def table_of(tool: Tool, frequency: bytes, modes: int) -> ToolTable:
-    """Return the splines of a tool, cached for other temperatures of the same recorder.
+    """Return the splines of a tool, cached: they are the same at all temperatures.
 
     Parameters
     ----------
@@ -107,7 +121,8 @@ class ToolTable:
     ----------
     tool : Tool
     frequency : ndarray
-        In Hz, (n_f,); with a margin to the ends of the tool's band for stretches.
+        Frequencies in Hz, (n_f,). The tool's band should exceed them at both ends by
+        :data:`WIDEST_STRETCH`.
     modes : int
         Number of modes to keep, at most three, the plane mode first.
 
@@ -117,9 +132,10 @@ class ToolTable:
     splines between them lose what is radiated later than 2 ms. The coefficients are first
     interpolated to finer frequencies by the conditional mean of a stationary Gaussian process. Its
     covariance is the Fourier transform of the expected power of the impulse response over time.
-    Steps at cut-ons are subtracted before (:mod:`acoustube.waves.interpolation`). Over these
-    frequencies, which are evenly spaced, B-splines are used; over the depths, which are not, cubic
-    splines. Derivatives are those of the interpolation itself.
+    Steps at cut-ons are subtracted before and added afterwards
+    (:mod:`acoustube.waves.interpolation`). Over these finer frequencies, which are evenly spaced,
+    B-splines are used; over the depths, which are not, cubic splines. Derivatives are those of the
+    splines themselves.
     """
 
     def __init__(self, tool: Tool, frequency: Array, modes: int) -> None:
@@ -147,12 +163,12 @@ class ToolTable:
         return float(self.tool.depth[0]), float(self.tool.depth[-1])
 
     def __call__(self, depth: Array, stretch: Array) -> Matrices:
-        """Return the matrices and their derivatives at depths and stretches of frequency.
+        """Return the scattering matrices and their derivatives at depths and frequency stretches.
 
         Parameters
         ----------
         depth : ndarray
-            In m, (n,).
+            Depths in m, within :attr:`range`, (n,).
         stretch : ndarray
             Relative changes of frequency, (n,).
         """
@@ -160,12 +176,12 @@ class ToolTable:
         return Matrices(*parts.reshape(*parts.shape[:3], 2, self.modes, 2, self.modes))
 
     def front(self, depth: Array, stretch: Array) -> FrontCoefficients:
-        """Return the front coefficients alone; the arguments are those of a call."""
+        """Return the front coefficients alone; the arguments are those of a call of the object."""
         return FrontCoefficients(*self._sums(*self._front, depth, stretch))
 
     @cached_property
     def _front(self) -> tuple[Complex, Complex]:
-        """Spline coefficients of :class:`FrontCoefficients` and their derivatives by depth."""
+        """Spline coefficients of the front coefficients, and their derivatives by depth."""
         return _front_coefficients(self.value, self.modes), _front_coefficients(
             self.slope, self.modes
         )
@@ -192,7 +208,7 @@ def _front_coefficients(part: Complex, modes: int) -> Complex:
 
 
 def _refined(given: Array, flat: Complex, wanted: Array, cut_ons: Array) -> Complex:
-    """Interpolate coefficients (n_depths, n_given, n) over frequency: (n_depths, n_wanted, n)."""
+    """Return coefficients (n_depths, n_given, n) at other frequencies, (n_depths, n_wanted, n)."""
     found = steps(given, wanted, onsets(cut_ons))
     matrix = _refinement(given, wanted)
     return np.stack([restored(found, matrix @ without(found, one), one) for one in flat])
@@ -201,7 +217,7 @@ def _refined(given: Array, flat: Complex, wanted: Array, cut_ons: Array) -> Comp
 def _refinement(given: Array, wanted: Array) -> Complex:
     """Return the matrix (n_wanted, n_given) that interpolates scattering over frequency.
 
-    It returns the conditional mean of a Gaussian process whose impulse response has independent
+    The result is the conditional mean of a Gaussian process whose impulse response has independent
     values. Their power is constant from :data:`EARLIEST` to 0 and then decays exponentially, with
     the time constant :data:`DECAY`, to the floor :data:`FAINTEST`. The response ends where the
     given frequencies no longer distinguish later from earlier times.
@@ -221,7 +237,7 @@ def _refinement(given: Array, wanted: Array) -> Complex:
 
 
 def padded(part: Complex, modes: int) -> Complex:
-    """Return matrices (n, n_f, 2, m, 2, m) with zeros for further modes."""
+    """Return matrices (n, n_f, 2, m, 2, m) padded with zeros to a larger number of modes."""
     m = part.shape[-1]
     if m == modes:
         return np.ascontiguousarray(part)

@@ -46,24 +46,24 @@ ORDER = Number(0, 3, whole=True)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tool:
-    """Scattering of one tube under one tool, over depth.
+    """Scattering and force of one tool that presses one tube, over depth.
 
     Attributes
     ----------
     shape : str
         ``rod``, ``punch`` or ``sphere``.
     diameter : float
-        Of the tool, in m.
+        Diameter of the tool in m.
     radius : float
-        Of the undeformed bore, in m.
+        Radius of the undeformed bore in m.
     depth : ndarray
         Indentation depths from first contact, rising, in m, (n,).
     force : ndarray
-        Of the tool on the tube, in N, (n,).
+        Force of the tool on the tube at each depth in N, (n,).
     force_error : ndarray
         Estimated errors of the forces in N, (n,).
     frequency : ndarray
-        Evenly spaced, in Hz, (n_f,).
+        Frequencies in Hz, rising and evenly spaced, (n_f,).
     modes : tuple of str
         Names of the modes, as in :class:`acoustube.waves.ModalScattering`.
     s : ndarray
@@ -71,17 +71,24 @@ class Tool:
     error : ndarray
         Estimated errors of the coefficients, not exceeded at 75 % of the frequencies, (n,).
     interpolation_error : ndarray
-        Estimated rms errors of interpolated coefficients between each depth and the next: of the
-        reflection of the plane wave relative to its rms, or of the transmission, (n - 1,).
+        Estimated rms errors of interpolated coefficients between each depth and the next, (n - 1,):
+        of the reflection of the plane wave relative to its rms, or of the transmission if that
+        error is larger.
     sound_speed : float
-        In m/s, of the air in which the scattering was computed.
+        Speed of sound in m/s of the air in which the scattering was computed.
     young_modulus : float
-        Of the wall in Pa, to which the forces are proportional; nan where it is not known, or where
-        the forces are not proportional to it because the ground yields.
+        Young's modulus of the wall in Pa, to which the forces are proportional; nan where it is not
+        known, or where the forces are not proportional to it because the ground yields.
     poisson_ratio : float
-        Of the wall.
+        Poisson's ratio of the wall.
     stiffness_error : float
         Relative standard deviation of Young's modulus; 0 for an exact one.
+
+    Raises
+    ------
+    ConfigError
+        If a value is outside its range, there are fewer than four depths or frequencies, these do
+        not rise, the frequencies are not evenly spaced, or arrays do not belong together.
     """
 
     shape: str
@@ -127,35 +134,40 @@ class Tool:
 
     @property
     def name(self) -> str:
-        """Diameter and shape of the tool in words."""
+        """Diameter and shape of the tool in words, such as ``25 mm rod``."""
         return f"{MM * self.diameter:g} mm {self.shape}"
 
     @checked(depth=DEPTHS, derivative=ORDER)
     def matrix(self, depth: ArrayLike, derivative: int = 0) -> Complex:
         """Return scattering matrices at depths between those computed, or derivatives by depth.
 
+        By a cubic spline over depth.
+
         Parameters
         ----------
         depth : array_like
-            In m, within the tool's depths.
+            Depths in m, of any shape, within the tool's depths.
         derivative : int
             Order of the derivative.
 
         Returns
         -------
         ndarray
-            (..., n_f, 2, m, 2, m), in 1/m to the power of the order.
+            The shape of `depth`, followed by (n_f, 2, m, 2, m); in 1/m to the power of the order.
         """
         return np.asarray(self._spline(np.asarray(depth, float), derivative))
 
     @checked(depth=DEPTHS, derivative=ORDER)
     def force_at(self, depth: ArrayLike, derivative: int = 0) -> Array:
-        """Return the force in N at depths in m, or its derivative by depth, by monotone cubics."""
+        """Return the force in N at depths in m, or its derivative of an order by depth.
+
+        The force is interpolated by monotone cubics.
+        """
         return np.asarray(self._force(np.asarray(depth, float), derivative))
 
     @checked(depth=DEPTHS)
     def force_deviation(self, depth: ArrayLike) -> Array:
-        """Return the standard deviation of the forces at depths in m, in N."""
+        """Return the standard deviation in N of the force at depths in m."""
         own = float(self.force_error.max())
         return np.asarray(np.hypot(own, self.stiffness_error * self.force_at(depth)))
 
@@ -175,7 +187,7 @@ class Library:
     Parameters
     ----------
     tools : tuple of Tool
-        One or more, of equal bore, frequencies, modes and air.
+        One or more tools, of equal bore, frequencies, modes and air.
 
     Raises
     ------
@@ -198,10 +210,10 @@ class Library:
             same = len(tool.frequency) == len(first.frequency) and np.allclose(
                 tool.frequency, first.frequency
             )
-            if not same or tool.modes != first.modes:
+            if not same or tool.modes != first.modes or tool.sound_speed != first.sound_speed:
                 raise ConfigError(
-                    "the tools of the library differ in frequencies or modes; compute them with "
-                    "one command"
+                    "the tools of the library differ in frequencies, modes or speed of sound; "
+                    "compute them with one command"
                 )
 
     @checked(value=Number(1e-3, 1e15, "Pa"), deviation=Number(0, 1e15, "Pa"))
@@ -211,7 +223,7 @@ class Library:
         Parameters
         ----------
         value, deviation : float
-            The modulus and its standard deviation in Pa.
+            Young's modulus and its standard deviation in Pa.
 
         Raises
         ------

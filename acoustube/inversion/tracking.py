@@ -29,9 +29,11 @@ from acoustube.inversion.tracks import FAINT, Track
 from acoustube.waves.scattering import Complex
 
 PATIENCE, TRIAL = 3, 8
-"""Badly fitted cycles in a row after which a second track starts; cycles for which it is tried."""
+"""Number of badly fitted cycles in a row above which a second track starts, and number of cycles
+for which it is tried."""
 BETTER = 5.0
-"""Amount by which the log likelihood of a cycle must be larger with the second track."""
+"""Excess of the second track's log likelihood per cycle, a running mean, above which it may replace
+the first."""
 SAME = 0.05
 """Distance in m within which contacts of two tracks count as the same."""
 TOLD = 0.5
@@ -45,19 +47,20 @@ class Tracked:
     Attributes
     ----------
     contacts : list of Contact
-        By distance.
+        Contacts in the order of distance.
     numbers : list of int
         Numbers of the contacts, from 0 in the order of their appearance.
     misfit : float
-        Unexplained share of the echo; nan without contacts. Unlike the misfit of
-        :class:`acoustube.inversion.Inversion` it leaves out the error with the highest evidence.
+        Root of the unexplained fraction of the echo's energy; nan without contacts. Unlike the
+        misfit of :class:`acoustube.inversion.Inversion`, it does not include the model error with
+        the highest evidence.
     temperature, gain : Estimate
         Deviations of the air's temperature in K and of the gain's logarithm.
     place : ndarray
         Distances in m whose echoes arrive at the times of the baseband, (n_time,).
     measured, explained : ndarray
-        Baseband of the cycle and of the contacts' model, both without the response of the untouched
-        tube, (n_time,), in counts.
+        Baseband of the cycle and of the model of the contacts, both less that of the untouched
+        tube, in counts, (n_time,).
     """
 
     contacts: list[Contact]
@@ -71,7 +74,7 @@ class Tracked:
 
     @property
     def fits(self) -> bool:
-        """Goodness of fit: True if the misfit is below `acoustube.inversion.estimate.MISFIT`."""
+        """Whether the misfit is at most :data:`acoustube.inversion.estimate.MISFIT`, or nan."""
         return not self.misfit > MISFIT
 
 
@@ -84,6 +87,7 @@ class ContactTracker:
     most : int
         Largest number of contacts.
     motion : Motion, optional
+        Model of the motion of contacts; with its default values by default.
     cycle_rate : float, optional
         Cycles per second; that of the rangefinder by default.
     """
@@ -105,7 +109,7 @@ class ContactTracker:
         noise = model.base.noise(1)
         self.proposals = [Proposals(model, i, noise) for i in range(len(model.tables))]
         self.quiet = weights(model, noise, 0.0, None)
-        self.threads = ThreadpoolController()  # looking up the libraries takes milliseconds
+        self.threads = ThreadpoolController()  # once: its search for libraries takes milliseconds
         self.n_cycles = 0
         self.track = self._new(at_rest(model.priors))
         self.second: Track | None = None
@@ -115,12 +119,12 @@ class ContactTracker:
 
     @checked(counts=Reals(ndim=1), elapsed=Optional(Number(1e-9, 1e6, "s")))
     def update(self, counts: ArrayLike, elapsed: float | None = None) -> Tracked:
-        """Update the contacts with one more cycle and return them.
+        """Update the posterior of the contacts with one more cycle, and return the contacts.
 
         Parameters
         ----------
         counts : ndarray
-            Counts of the converter, (n_samples,).
+            Counts of the converter in this cycle, (n_samples,).
         elapsed : float, optional
             Time in s since the previous cycle; a period of the cycles by default.
 
@@ -182,7 +186,7 @@ class ContactTracker:
                 one.number, track.numbers = track.numbers, track.numbers + 1
 
     def _told(self, found: Update, samples: Complex) -> Tracked:
-        """Return the contacts to report, from the branches."""
+        """Return the contacts to report after a cycle with baseband `samples`."""
         model, best = self.model, found.branches
         places = split(best.mean[:1, : best.parameters])[0]
         measured = samples - self.track.untouched
@@ -220,11 +224,12 @@ class ContactTracker:
         )  # fmt: skip
 
     def _lasting(self, found: Update) -> Array:
-        """Return the variance of the parameters by errors that are the same in all cycles.
+        """Return the parameters' variance due to errors that are the same in all cycles.
 
-        Noise averages out over cycles. The errors of model and clutter, which are also part of the
-        weights, do not: with the Fisher information I of a cycle they leave the covariance
-        I^-1 (I - N) I^-1, in which N is the part of I due to noise alone.
+        Shape (n, n_parameters). Noise averages out over cycles. The errors of model and clutter,
+        which are also part of the weights, do not. With the Fisher information I of a cycle, they
+        leave the covariance I^-1 (I - N) I^-1, where N is the covariance of the score that is due
+        to noise alone.
         """
         noise = self.model.base.noise(1)
         p = found.branches.parameters
@@ -237,7 +242,7 @@ class ContactTracker:
         return np.maximum(np.einsum("nij,njk,nki->ni", whole, own, whole), 0.0)
 
     def _misfit(self, rest: Complex, explained: Complex) -> float:
-        """Return the fraction of the echo that the model does not explain, nan without contacts."""
+        """Return the root of the echo's unexplained fraction of energy; nan without contacts."""
         if not self.track.known:
             return float("nan")
         expected = self.model.base.freedom * len(rest)

@@ -16,7 +16,6 @@ import numpy as np
 from acoustube.inversion.births import (
     candidates,
     fronts_of,
-    half_wavelength,
     new_deviations,
     rank_of,
     uniform,
@@ -50,8 +49,8 @@ FORGET = 0.95
 MEAN = 8
 """Number of cycles in whose mean residual weak contacts are sought."""
 NEAR, NEAR_CONTACTS = 3, 2
-"""Number of candidates in the search for a contact near its place, and of contacts searched for
-again per cycle."""
+"""Number of candidates in the search for a contact near its place, and number of contacts that are
+sought again in a cycle."""
 RARE = float(np.log(100.0))
 """Logarithm of the prior odds against one more contact."""
 SURE, GONE = 12.0, -2.0
@@ -60,10 +59,11 @@ FAINT, FAINT_TESTS = 0.1e-3, 3
 """Depth in m above the library's least depth up to which a contact is not detectable, and number of
 tests in a row after which such a contact is removed."""
 NEW = 2, 4, 7
-"""Ages in cycles at which a contact is sought again near its place, and after loud residuals."""
+"""Ages in cycles of a contact at which contacts are sought again near their places."""
 YOUNG, OFTEN, SELDOM, RARELY = 15, 2, 6, 12
-"""Age in cycles below which a contact is young, and numbers of cycles between tests: for other
-maxima while a contact is young or the fit is bad, for weak contacts, and for other maxima else."""
+"""Age in cycles below which a contact is young. Numbers of cycles between searches: `OFTEN` for
+other maxima while a contact is young or the fit is bad, `RARELY` for other maxima at other times,
+and `SELDOM` for weak contacts."""
 MERGED = 3
 """Cycles between tests of whether a young contact and its neighbour are a single contact."""
 LOUD = 3.0
@@ -71,15 +71,15 @@ LOUD = 3.0
 BAD = 3.0
 """Mean square of the whitened residual above which a fit is bad, as is one with a large misfit."""
 ADAPTED, RISE = 0.2, 1.5
-"""Weight of a cycle in the running estimate of the model's error, and cap on its misfit relative to
-that estimate, which the echo of a contact not detected yet must not raise."""
+"""Weight of a cycle in the running mean of the model's squared error, and cap on the misfit of the
+cycle relative to that error, so that the echo of an undetected contact hardly raises the mean."""
 ERROR, ERRORS = 0.03, (0.003, 0.4)
 """Initial relative error of the model, and its range."""
 SPREAD, BENT_SPREAD = 5e-4, 6e-3
 """Error of the model at all times, relative to the highest echo: straight and wrapped tube."""
 SHIFTS = ((-1, 0.0), (0, -0.3e-3), (1, 0.0), (0, 0.3e-3))
-"""Shifts of place in half wavelengths and of depth in m by which other maxima are sought, every
-second one at a time. All contacts are also shifted together by half wavelengths."""
+"""Shifts of place in half wavelengths and of depth in m by which other maxima are sought: in turn
+the two of place and the two of depth. Shifts of place are also applied to all contacts together."""
 RESTARTED = -3.0
 """Logarithm of the prior odds that a contact has jumped."""
 
@@ -121,7 +121,7 @@ class Track:
         self.spread = BENT_SPREAD if model.path.converts else SPREAD
 
     def update(self, cycle: Cycle, step: float) -> Update:
-        """Update the distribution with a cycle, a time in s after the previous, and return it."""
+        """Update the distribution with a cycle, `step` seconds after the previous; return it."""
         error = self.error if self.known else 0.0
         self.whiten = weights(self.model, cycle.noise, error, self.echo, self.spread)
         prior = predicted(self.branches, self.motion, self.model.priors, step)
@@ -175,9 +175,9 @@ class Track:
         return self._mean_square(found) > BAD or self.misfit(found, cycle) > MISFIT
 
     def misfit(self, found: Update, cycle: Cycle) -> float:
-        """Return the fraction of the echo that noise, clutter and the model do not explain.
+        """Return the root of the residual's energy beyond that of noise and clutter.
 
-        It is relative to the echo of the contacts in the previous cycle, and 0 if there is none.
+        It is relative to the echo of the contacts in the previous cycle, and 0 without an echo.
         """
         if self.echo is None:
             return 0.0
@@ -194,7 +194,7 @@ class Track:
         self.echo = Echo(explained - self.untouched, None) if self.known else None
 
     def _explored(self, prior: Branches, found: Update, cycle: Cycle) -> Update:
-        """Search for new contacts or other maxima, and return the branches."""
+        """Return the branches after a search for new contacts or other maxima, if one is due."""
         turn, room = cycle.number, len(self.known) < self.most
         if room and self._loud(found) and (not self.known or self.n_bad or turn % 2 == 0):
             return self._born(found, cycle, prior)
@@ -263,10 +263,10 @@ class Track:
     def _in_place(
         self, fewer: Branches, best: Update, rank: int, samples: Complex, whiten: Weights
     ) -> Update:
-        """Return fits of a new contact without the young one behind it, if they are as likely.
+        """Return fits of a new contact without a young one behind it, if they are as likely.
 
-        Until the echo of the new contact was high enough to be detected, its effect on the echoes
-        from behind it may have been taken for a contact there.
+        The young one is then removed from the known contacts. Until the echo of the new contact was
+        high enough to be detected, its effect on later echoes may have been taken for a contact.
         """
         for i in range(rank, len(fewer.tools)):
             if self.known[i].age >= YOUNG:
@@ -321,10 +321,10 @@ class Track:
         moves = np.array(SHIFTS[turn // len(among) % 2 :: 2])
         n = len(moves)
         mean = np.repeat(best.mean[:1], n, axis=0)
-        mean[:, 2 * i : 2 * i + 2] += moves * [half_wavelength(self.model), 1.0]
+        mean[:, 2 * i : 2 * i + 2] += moves * [self.model.base.half_wavelength, 1.0]
         if len(self.known) > 1 and moves[0, 0]:  # all together: the first is placed before others
             joint = np.repeat(best.mean[:1], n, axis=0)
-            joint[:, : 2 * len(self.known) : 2] += moves[:, :1] * half_wavelength(self.model)
+            joint[:, : 2 * len(self.known) : 2] += moves[:, :1] * self.model.base.half_wavelength
             mean = np.concatenate([mean, joint])
         wide = np.repeat(widened(prior, self.model.priors), len(mean), axis=0)
         start = Branches(best.tools, mean, wide, np.zeros(len(mean)))
@@ -333,7 +333,7 @@ class Track:
     def _with_others(
         self, found: Update, start: Branches, cycle: Cycle, prior_odds: float
     ) -> Update:
-        """Fit further branches to this cycle, and return them with the present ones."""
+        """Return the branches, and those fitted from `start`, whose log prior odds are given."""
         plain = 2 * float(np.sum(np.abs(self.whiten(found.rest[0])) ** 2))
         tried = updated(
             self.model, start, cycle.samples, self.whiten, iterations=4, limit=plain + LOST
@@ -370,7 +370,7 @@ class Track:
         return self._pruned(refit)
 
     def _gained(self, found: Update, fewer: Update) -> float:
-        """Return the log likelihood ratio of a cycle between a fit and one with fewer contacts."""
+        """Return the log likelihood ratio of a fit over one with fewer contacts, in a cycle."""
         rest = self.whiten(np.stack([fewer.rest[0], found.rest[0]]))
         without, with_all = np.sum(np.abs(rest) ** 2, axis=1)
         return float(without - with_all)

@@ -1,9 +1,9 @@
-"""Contacts of a tube with a rangefinder at each end: the posteriors of both, joined.
+"""Contacts of a tube with a rangefinder at each end: the posteriors from both ends, joined.
 
 Each end is inverted separately, since its noise, clutter and nuisance parameters are its own. The
 posterior of a contact that both ends detect is the product of its two distributions. Of maxima half
 a wavelength apart, those that coincide from both ends remain, as far as the tube's length is known.
-A contact behind a hard one, whose echo masks its own at one end, is received at the other end.
+A contact whose echo is masked at one end by a deeper press in front of it is received at the other.
 """
 
 from __future__ import annotations
@@ -24,13 +24,14 @@ SAME_PLACE, FARTHEST = 0.03, 0.06
 """Distance in m within which contacts reported by both ends are one, and upper limit of this
 distance for contacts whose places are less certain."""
 DEVIATIONS = 3.0
-"""Number of standard deviations of their distance within which they are one, up to that limit."""
+"""Number of standard deviations of the distance between two contacts within which they are also
+one, up to `FARTHEST`."""
 CONTRADICTION = 16.0
-"""Squared difference of place and depth in standard deviations, summed, of the maxima that agree
-best, above which the two ends contradict each other."""
+"""Sum of the squared differences of place and of depth, in standard deviations, above which the two
+ends contradict each other. The maxima of both ends that agree best are compared."""
 LEAST = 0.1
-"""Least share of a standard deviation that is independent of the other end's, besides the error
-that both share."""
+"""Least independent part of a standard deviation, as a fraction of it: the rest is an error that
+both ends share."""
 NEGLIGIBLE = 1e-9
 """Weight of a maximum, relative to the largest, up to which it is left out."""
 
@@ -41,11 +42,11 @@ class MatchedContact(NamedTuple):
     Attributes
     ----------
     contact : Contact
-        With its distance from the near end.
+        The contact, with its distance from the near end.
     near, far : int or None
         Index among the contacts of each end; None where that end does not report it.
     agree : bool
-        False if both ends report it with contradicting places and depths.
+        False if both ends report it, and contradict each other in place and depth.
     """
 
     contact: Contact
@@ -68,15 +69,17 @@ def joined_contacts(
     near, far : sequence of Contact
         Contacts of each end, with distances from that end.
     length : float
-        Of the tube between both transducers in m; ``priors.length`` is its standard deviation.
+        Length of the tube between both transducers in m.
     library : Library
     priors : Priors
-        Errors of the model in depth, ``depth`` and ``bore``, are the same from both ends.
+        ``length`` is the standard deviation of the tube's length. ``depth`` and ``bore`` determine
+        the error of depths that both ends share, ``modulus`` that of forces.
 
     Notes
     -----
     Where both ends report a contact with different tools, or contradict each other, the report with
-    the smaller standard deviation of the place is used.
+    the smaller standard deviation of the place is used. The probability of a contact that both ends
+    report is that of at least one of two independent reports.
     """
     turned = [_from_other_end(one, length, priors.length) for one in far]
     pairs = [(i, j) for i, a in enumerate(near) for j, b in enumerate(turned) if _same(a, b)]
@@ -95,7 +98,10 @@ def joined_contacts(
 
 
 def _from_other_end(contact: Contact, length: float, deviation: float) -> Contact:
-    """Return a contact with its distance from the other end."""
+    """Return a contact with its distance from the other end of a tube of a length in m.
+
+    `deviation` is the standard deviation of that length.
+    """
     told = contact.distance
     spread = np.hypot(told.deviations, deviation)
     return replace(contact, distance=mixture(told.weights, length - told.means, spread))
@@ -145,7 +151,7 @@ def _product(
 
 
 def _combined(one: Estimate, other: Estimate, shared: float) -> tuple[Array, Array, Array, Array]:
-    """Return the products of all pairs of normal distributions of two mixtures.
+    """Return the products of all pairs of normal distributions from two mixtures.
 
     Parameters
     ----------
@@ -156,9 +162,12 @@ def _combined(one: Estimate, other: Estimate, shared: float) -> tuple[Array, Arr
 
     Returns
     -------
-    mean, deviation, off, weight : ndarray
-        (n m,); the weight of a product is ``weight * exp(-off / 2)``, with the squared deviation
-        ``off`` of both means from each other.
+    mean, deviation : ndarray
+        Means and standard deviations of the products, (n m,): first those of all of `other` with
+        the first of `one`.
+    off, weight : ndarray
+        Squared differences of the two means in standard deviations, and factors, (n m,): the weight
+        of a product is ``weight * exp(-off / 2)``.
     """
     a, b = (
         np.maximum(it.deviations**2 - shared**2, (LEAST * it.deviations) ** 2)

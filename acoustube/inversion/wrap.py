@@ -54,14 +54,21 @@ class Wrap:
     Attributes
     ----------
     place : ndarray
-        Rising distances from the sensor in m, (n,), two or more. The wrap extends from the first to
-        the last; curvature and torsion are interpolated between them.
+        Distances from the sensor in m, rising, (n,), two or more. The wrap extends from the first
+        to the last; its modes are interpolated between them.
     curvature, torsion : ndarray
-        As in :class:`acoustube.waves.Bent`, in 1/m, (n,).
+        Curvature and torsion of the centre line at these distances in 1/m, (n,), as in
+        :class:`acoustube.waves.Bent`.
     ovality : float
-        As in :class:`acoustube.waves.Bent`.
+        Relative decrease of the bore's radius in the plane of the bend, and increase across it.
     reach : float
         Half length in m of the straight part about a press.
+
+    Raises
+    ------
+    ConfigError
+        If a value is outside its range, the arrays differ in shape, or `place` does not hold two or
+        more rising distances.
     """
 
     place: Array
@@ -86,7 +93,7 @@ class Wrap:
         Raises
         ------
         ConfigError
-            If the wrap ends beyond the tube.
+            If the wrap ends more than :data:`NEARLY` beyond the tube.
         """
         if self.stop > length + NEARLY:
             raise ConfigError(
@@ -117,11 +124,12 @@ class WrappedPath:
     wrap : Wrap
     air : Air
     frequency : ndarray
-        Evenly spaced, in Hz, (n_f,); a negative imaginary part stands for a decaying exponential.
+        Frequencies in Hz, evenly spaced, (n_f,). With a negative imaginary part, spectra are those
+        of signals times a decaying exponential.
     radius : float
-        Of the bore in m.
+        Radius of the bore in m.
     modes : tuple of str
-        Names of the modes of the presses' matrices, the plane mode first.
+        Names of the m_s modes of the presses' matrices, the plane mode first.
     k, by_temperature : ndarray
         Axial wavenumbers of these modes in the straight tube in 1/m, and their derivatives in
         1/(m K), (n_f, m_s).
@@ -171,7 +179,15 @@ class WrappedPath:
         )
 
     def span(self, nearest: float, length: float) -> tuple[float, float]:
-        """Return the range of places in m where presses are sought: on the wrap."""
+        """Return the range of places in m where presses are sought: on the wrap.
+
+        The parameters are those of :meth:`acoustube.inversion.paths.Path.span`.
+
+        Raises
+        ------
+        ConfigError
+            If the wrap has no place for a press beyond the nearest.
+        """
         wrap = self.wrap
         low = max(nearest, wrap.start + wrap.reach)
         high = min(wrap.stop - wrap.reach, length - 0.02)
@@ -183,7 +199,7 @@ class WrappedPath:
         return low, high
 
     def entry(self, temperature: Array) -> Entry:
-        """Return the propagation to the start of the wrap, at deviations of temperature in K."""
+        """Return the propagation to the start of the wrap, at temperature deviations (n,) in K."""
         # Antisymmetric modes are included, since the face reflects them.
         k = np.concatenate([self.k, self.own_k], axis=1)
         by_temperature = np.concatenate([self.by_temperature, self.own_heat], axis=1)
@@ -193,12 +209,13 @@ class WrappedPath:
         return Entry(np.asarray(matrix), np.asarray(self.wrap.start * by_temperature, complex))
 
     def joint(self, place: float) -> tuple[Complex, Complex]:
-        """Return transmission and reflection of the bent modes at a joint, at a place in m.
+        """Return transmission and reflection of the m bent modes at a joint, at a place in m.
 
         Returns
         -------
         passed : ndarray
-            Transmission to the straight modes, the antisymmetric ones last, (n_f, m_s, m).
+            Transmission to m_s straight modes: three symmetric ones, of which some may be missing
+            and zero, then the antisymmetric ones; (n_f, m_s, m).
         reflected : ndarray
             Reflection between the bent modes, (n_f, m, m).
         """
@@ -207,7 +224,11 @@ class WrappedPath:
         return passed, parts[:, 2 * MODES : 3 * MODES]
 
     def sections(self, places: Array, temperature: Array) -> list[Section]:
-        """Return the propagation before each press, at places (n, n_presses) in m."""
+        """Return the sections before presses at places (n, n_presses) in m.
+
+        `temperature` holds deviations in K, (n,). A section ends where the straight part about a
+        press begins.
+        """
         reach, found = self.wrap.reach, []
         start = np.full(len(places), self.wrap.start)
         for place in places.T:
@@ -223,7 +244,7 @@ class WrappedPath:
         return found
 
     def joined(self, matrices: Matrices, place: Array, temperature: Array) -> Joined:
-        """Return presses at places (n,) in m, joined to the bends on both sides."""
+        """Return presses at places (n,) in m, at temperature deviations (n,) in K, with joints."""
         reach, warm = self.wrap.reach, temperature[:, None, None]
         ports = self._inside(place - reach), self._inside(place + reach)
         joints, moved = (np.stack([self.joints(at, order) for at in ports]) for order in (0, 1))
@@ -239,7 +260,7 @@ class WrappedPath:
         )  # fmt: skip
 
     def phases(self, places: Array, temperature: float, *, behind: bool = False) -> Complex:
-        """Return the complex phases in rad of the modes at the ends of presses, (n, n_f, m).
+        """Return the modes' complex phases in rad from the wrap's start to presses, (n, n_f, m).
 
         Parameters
         ----------
@@ -248,14 +269,14 @@ class WrappedPath:
         temperature : float
             Deviation of the temperature in K.
         behind : bool
-            At the end behind each press instead of the end before it.
+            Whether the phases end behind the straight part about each press instead of before it.
         """
         reach = self.wrap.reach
         at = self._inside(places + (reach if behind else -reach))
         return np.asarray(self.phase(at) + temperature * self.warmer(at))
 
     def plane(self, places: Array) -> tuple[Complex, Complex]:
-        """Return the plane wave's phases in rad at places (n,), and changes per K, (n_f, n)."""
+        """Return the plane wave's phases in rad up to places (n,), and changes per K, (n_f, n)."""
         inside = self._inside(places)
         straight = np.where(places < self.wrap.start, places, self.wrap.start + places - inside)
         value, warmer = (
@@ -265,7 +286,7 @@ class WrappedPath:
         return value, warmer
 
     def place_at(self, time: Array) -> Array:
-        """Return the distances in m whose echoes of the plane wave arrive at times in s."""
+        """Return the distances in m of reflectors from the delays in s of plane-wave echoes."""
         farthest = 0.5 * self.speed * float(np.max(time))
         places = np.linspace(0.0, max(farthest, self.wrap.stop), 200)
         middle = len(self.frequency) // 2
@@ -275,7 +296,7 @@ class WrappedPath:
         return np.interp(time, delay, places)
 
     def _inside(self, places: Array) -> Array:
-        """Return places within the wrap."""
+        """Return places clipped to the wrap."""
         return np.clip(places, self.wrap.start, self.wrap.stop)
 
 

@@ -44,13 +44,13 @@ class Profile:
 
 
 def check_increment(indentation: Indentation, increment: int) -> None:
-    """Raise ConfigError unless a press has an increment.
+    """Raise ConfigError unless an indentation has an increment of a given number.
 
     Parameters
     ----------
     indentation : Indentation
     increment : int
-        Number of the increment; negative numbers count from the last.
+        Number of the increment, from 0; negative numbers count from the last.
     """
     count = len(indentation.depth)
     if not -count <= increment < count:
@@ -66,7 +66,7 @@ def inner_wall(mesh: Mesh) -> tuple[Any, Index]:
     sampling : sparse array of shape (n_vertices, n_nodes)
         Matrix that interpolates nodal values at the vertices.
     triangles : array of int, shape (n_triangles, 3)
-        Vertex numbers.
+        Numbers of the vertices of each triangle.
     """
     return triangulated(mesh, parts=TRIANGLES_PER_EDGE)
 
@@ -78,27 +78,28 @@ def measure(
     z: Array,
     wall: tuple[Any, Index] | None = None,
 ) -> Profile:
-    """Measure the lumen's sections by planes z = const at an increment of a press.
+    """Measure the lumen's cross-sections in planes z = const at an increment of a press.
 
     Parameters
     ----------
     indentation : Indentation
     increment : int
-        Number of the increment.
+        Number of the increment, from 0; negative numbers count from the last.
     z : array of shape (n,)
-        Axial positions in the deformed tube in m, zero in the middle of the modelled part.
+        Axial positions in the deformed tube in m, as in the mesh; of a mesh of the half z >= 0 they
+        may be negative.
     wall : tuple, optional
         Result of :func:`inner_wall`, to compute it once for many increments.
 
     Returns
     -------
     Profile
-        Measures of the whole section, even if half of it is modelled.
+        Measures of the whole section, even if only half of it is modelled.
 
     Raises
     ------
     ConfigError
-        If there is no such increment.
+        If there is no such increment, or `z` is not a finite array of one axis.
     """
     check_increment(indentation, increment)
     mesh = indentation.mesh
@@ -115,14 +116,14 @@ def measure(
     z=Reals(-1e6, 1e6, "m", ndim=1),
 )
 def profile(vertices: Array, triangles: Index, z: Array, *, halved: bool = False) -> Profile:
-    """Measure the sections of a tube-like surface by planes z = const.
+    """Measure the cross-sections of a tube-like surface in planes z = const.
 
     Parameters
     ----------
     vertices : array of shape (n_vertices, 3)
-        In m.
-    triangles : array of shape (n_triangles, 3)
-        Consistently oriented.
+        Coordinates (x, y, z) in m.
+    triangles : array of int, shape (n_triangles, 3)
+        Vertex numbers from 0, of consistently oriented triangles.
     z : array of shape (n,)
         Positions of the planes, in m.
     halved : bool
@@ -132,6 +133,11 @@ def profile(vertices: Array, triangles: Index, z: Array, *, halved: bool = False
     -------
     Profile
         With zeros where a plane does not meet the surface.
+
+    Raises
+    ------
+    ConfigError
+        If a vertex number is too large, or an array has another shape or is not finite.
 
     Notes
     -----
@@ -192,7 +198,7 @@ def _crossing(a: Array, b: Array, z: Array) -> Array:
 
 
 def _extent(plane: Index, values: Array, n: int) -> tuple[Array, Array]:
-    """Return the smallest and largest value in each of n planes, or zeros if it has no values."""
+    """Return the smallest and largest value in each of n planes; zeros in planes without values."""
     low, high = np.full(n, np.inf), np.full(n, -np.inf)
     np.minimum.at(low, plane, values)
     np.maximum.at(high, plane, values)

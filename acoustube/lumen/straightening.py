@@ -12,8 +12,8 @@ from acoustube.base.types import Array
 PROJECTION_STEPS = 30
 """Largest number of Newton steps towards the nearest point of the curve."""
 MIN_SLOPE = 0.1
-"""Lower bound of the derivative in Newton's method, which is the ratio of a point's distance from
-the centre of curvature to the radius of curvature."""
+"""Lower bound of the derivative in Newton's method. The derivative is the ratio of a point's
+distance from the centre of curvature to the radius of curvature."""
 
 
 @checked(points=PLACES, line=Reals(-1e6, 1e6, "m", ndim=2, last=3))
@@ -33,20 +33,23 @@ def straighten(points: Array, line: Array) -> Array:
     Returns
     -------
     array of shape (..., 3)
-        Coordinates in m: x is unchanged, y is the signed distance from the curve plus the height of
-        its first point, z is the arc length at the nearest point of the curve.
+        Coordinates in m: x is unchanged, y is the distance from the curve, positive above it, plus
+        the height y of its first point, z is the arc length at the nearest point of the curve.
 
     Raises
     ------
     SimulationError
-        If the radius of curvature is not larger than the distance of the points from the curve.
+        If the search for the nearest point does not converge, as where a point's distance from the
+        curve is not smaller than the radius of curvature.
+    ValueError
+        If the curve has fewer than two points, or the same point twice in succession.
     """
     if len(line) < 2:
         raise ValueError("line has fewer than 2 points; give more")
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     if not np.all(np.diff(arc) > 0):
         raise ValueError("line has the same point twice in succession; give each once")
-    # The relative difference of chord and arc is (h kappa)^2 / 24, less than 1e-5 here.
+    # A chord h is shorter than its arc of curvature kappa by (h kappa)^2 / 24, here below 1e-5.
     curve = CubicSpline(arc, line[:, 1:], bc_type=((1, [0.0, 1.0]), (2, [0.0, 0.0])))
     tangent, turn = curve.derivative(), curve.derivative(2)
     y, z = points[..., 1], points[..., 2]

@@ -24,8 +24,9 @@ smaller than the circle's by a relative 1.5e-4."""
 RINGS_PER_ELEMENT = 6
 """Number of rings along the tube per element."""
 SEALING_PRESSURE = 1e3
-"""Contact pressure in Pa above which soft walls seal: far above the sound pressure, and less than a
-hundredth of the pressure that the barrier exerts at half its distance in silicone."""
+"""Contact pressure in Pa above which soft walls seal. It is far above the sound pressure, and less
+than a hundredth of the pressure that the barrier of the self-contact exerts on silicone at half its
+activation distance."""
 STRAIGHTENING_ROOM = 1.02
 """Largest ratio of the length of a straightened pressed part to its undeformed length."""
 
@@ -48,7 +49,8 @@ class Lumen:
         True if the lumen is symmetric about x = 0.
     sealing_gap : float
         Height in m of gaps whose walls are pressed together by `SEALING_PRESSURE`. They count as
-        half sealed, although the barrier of the self-contact keeps them open.
+        half sealed, although the barrier of the self-contact keeps them open. With 0, the default,
+        no gap counts as sealed.
     """
 
     rings: Array
@@ -80,6 +82,13 @@ def ring_faces(n_rings: int, n_around: int) -> NDArray[np.int64]:
     Returns
     -------
     array of int, shape (n_triangles, 3)
+        Numbers of the points, with outward normals if the rings are anticlockwise seen from the
+        last.
+
+    Raises
+    ------
+    ConfigError
+        If there are fewer than two rings, or three points per ring.
     """
     number = np.arange(n_rings * n_around).reshape(n_rings, n_around)
     a, c = number[:-1], number[1:]
@@ -162,7 +171,8 @@ def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lum
     Raises
     ------
     ConfigError
-        If the modelled part does not fit between the tube's ends.
+        If the modelled part does not fit between the tube's ends, there is no such increment, or
+        the wall is an imported one.
     SimulationError
         If the tube is bent too sharply to be straightened.
     """
@@ -211,6 +221,8 @@ def pressed_part(indentation: Indentation, increment: int = -1) -> Lumen:
 
     Raises
     ------
+    ConfigError
+        If there is no such increment, or the wall is an imported one.
     SimulationError
         If the tube is bent too sharply to be straightened.
     """
@@ -273,7 +285,7 @@ def _straight(wall: Array, bottom: Array, floor: float, mesh: Mesh) -> Array:
 
 
 def _with_ends(pressed: Array, ring: Array, position: float, ends: Array, length: float) -> Array:
-    """Add undeformed rings to the deformed ones, from `ends` to the ends of the tube."""
+    """Add undeformed rings to deformed ones: at z = 0, at both z in `ends` and at z = length."""
     z = np.array([0, *ends, length])
     straight = ring * [1, 1, 0] + z[:, None, None] * [0, 0, 1]
     moved = pressed + np.array([0, 0, position])

@@ -8,16 +8,16 @@ from numpy.typing import NDArray
 from acoustube.base.checks import Reals, check_alike, checked
 
 RINGS = 49
-"""Number of rings kept; in the default tube the others are interpolated to within 20 um."""
+"""Largest number of rings kept; in the default tube the others are interpolated to within 20 um."""
 AROUND = 120
-"""Largest number of points kept per ring."""
+"""Smallest number of points to which a ring is thinned; see `decimate_rings`."""
 
 
 @checked(inner=Reals(-1e6, 1e6, "m", ndim=3, last=3), outer=Reals(-1e6, 1e6, "m", ndim=3, last=3))
 def decimate_rings(
     inner: NDArray[np.float64], outer: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the rings and points from which the others are interpolated with small errors.
+    """Reduce the numbers of rings and of points per ring, at a small error of interpolation.
 
     Parameters
     ----------
@@ -26,9 +26,10 @@ def decimate_rings(
 
     Returns
     -------
-    inner, outer : array of shape (RINGS or n_rings, AROUND or n_around, 3)
-        The smaller of both numbers. The ring at the indenter is kept, and so are the bottom and top
-        points of each ring.
+    inner, outer : array of shape (RINGS or n_rings, n_kept, 3)
+        At most `RINGS` rings, with the first, the last and that at the indenter. Of each ring every
+        k-th point is kept, with k = n_around // `AROUND`, or every point if k is 0 or the top would
+        be omitted.
     """
     check_alike(inner=inner, outer=outer)
     step = max(1, inner.shape[1] // AROUND)
@@ -43,7 +44,7 @@ def decimate_rings(
 
 
 def _most_informative_rings(rings: NDArray[np.float64], kept: set[int], count: int) -> list[int]:
-    """Return the numbers of the rings to keep; each ring added is that of the largest error."""
+    """Return the numbers of rings to keep; each added ring has the largest interpolation error."""
     while len(kept) < min(count, len(rings)):
         known = sorted(kept)
         right = np.clip(np.searchsorted(known, np.arange(len(rings))), 1, len(known) - 1)

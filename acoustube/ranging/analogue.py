@@ -47,7 +47,7 @@ PASSBAND = 0.8
 DRIVE_OVERSAMPLING = 16
 """Oversampling factor in the transform of a drive without a closed-form spectrum."""
 PERIOD_IN_RECORDS = 2
-"""Period of the computed time, which is cyclic, in lengths of the record."""
+"""Period of the discrete Fourier transform, in lengths of the record."""
 
 
 @checked(frequency=Reals(0, 1e12, "Hz", ndim=1), position=DISTANCE)
@@ -99,7 +99,7 @@ def clutter(
     tube_seed: int,
     reflectors: Array | None = None,
 ) -> Complex:
-    """Return the clutter: reflections of small irregularities along a tube, at its source end.
+    """Return the clutter: pressure reflection coefficient of a tube's irregularities at its source.
 
     Parameters
     ----------
@@ -122,12 +122,17 @@ def clutter(
     Returns
     -------
     ndarray
-        Reflected over launched pressure, (n,).
+        Reflected over launched pressure, complex, (n,).
+
+    Raises
+    ------
+    ValueError
+        If a frequency lies outside the band of a press, or an argument is out of range.
 
     Notes
     -----
-    The reflectors are at ``z_i = (i + 1/2) REFLECTOR_SPACING``. Their reflection coefficients r_i
-    are normal with variance ``density * REFLECTOR_SPACING``. In Born's approximation (single
+    Random reflectors are at ``z_i = (i + 1/2) REFLECTOR_SPACING``. Their coefficients r_i are
+    normal with variance ``density * REFLECTOR_SPACING``. In Born's approximation (single
     scattering of the plane mode) the clutter is ``sum r_i T_i^2 exp(-2j phi_i)``, with T_i the
     transmission of the presses before reflector i, and phi_i the phase of the plane wave up to it,
     with the bends' own wavenumbers in bends. Multiple reflections between a press and a reflector
@@ -165,7 +170,7 @@ def clutter(
 def _plane_waves(
     bends: Sequence[PlacedScatterer], frequency: Complex, straight: Complex, spacing: float, n: int
 ) -> tuple[Complex, NDArray[np.int_]]:
-    """Return wavenumbers of the plane wave (n_waves, n_f), and the index of each reflector's."""
+    """Return plane wavenumbers (n_waves, n_f) in 1/m, and the row that each reflector (n,) uses."""
     places = (np.arange(n) + 0.5) * spacing
     waves, number = [straight], np.zeros(n, int)
     for bend in bends:
@@ -183,7 +188,7 @@ def _plane_waves(
 def _add_reflectors(
     total: Complex, steps: Complex, number: NDArray[np.int_], reflectors: Array
 ) -> None:
-    """Add reflectors in front of a reflection, in place: Horner's scheme from the far end."""
+    """Add reflectors in front of the reflection `total`, in place, by Horner's scheme."""
     for i, r in zip(number[::-1], reflectors[::-1], strict=True):
         total *= steps[i]
         total += r
@@ -240,10 +245,10 @@ def response(
     With the spectrum E of the drive behind loudspeaker and microphone, the resonator's response H,
     the face's reflection coefficient r and the pressure p at the face over the launched pressure,
     the voltage is
-    ``send H E + gain H^2 E (p - 1) / (1 + r)``: the incident wave is received.
-    It is computed in the frequency domain and filtered without delay, by a raised cosine that falls
-    from 0.8 of the Nyquist frequency to zero there. No finer step is needed, and nothing is
-    aliased.
+    ``send H E + gain H^2 E (p - 1) / (1 + r)``, to which the clutter is added as a part of the
+    incident wave (p - 1) / (1 + r). It is computed in the frequency domain and filtered without
+    delay, by a raised cosine that falls from 1 at 0.8 of the Nyquist frequency to 0 at that
+    frequency. No finer step is needed, and nothing is aliased.
     """
     rate, n = rangefinder.sampling_rate, rangefinder.n_samples
     check_duration(rangefinder.drive, n / rate - rangefinder.lead)
@@ -277,9 +282,9 @@ def response(
 def sent_spectrum(
     rangefinder: Rangefinder, frequency: Complex, rate: float, n_cycle: int, damping: float
 ) -> Complex:
-    """Return the spectrum in s of a drive behind its loudspeaker, before any resonance.
+    """Return the spectrum in s of a drive after loudspeaker and microphone, without the resonance.
 
-    The arguments are those of :func:`drive_spectrum`, with the rangefinder of the drive.
+    The arguments are those of :func:`drive_spectrum`, with the rangefinder in place of its drive.
     """
     spectrum = drive_spectrum(rangefinder.drive, frequency, rate, n_cycle, damping)
     return np.asarray(spectrum * rangefinder.passband(frequency))
@@ -288,19 +293,24 @@ def sent_spectrum(
 def drive_spectrum(
     drive: Drive, frequency: Complex, rate: float, n_cycle: int, damping: float
 ) -> Complex:
-    """Return the Fourier transform of a drive in s, damped where the frequency is complex.
+    """Return the Fourier transform in s of a drive times a decaying exponential.
 
     Parameters
     ----------
     drive : Burst, Chirp, Tones, Pulse or SampledPulse
     frequency : ndarray
-        Multiples of ``rate / n_cycle`` in Hz, all from the first to the last wanted, (n,).
+        In Hz, (n,): ``rate / n_cycle`` times 1, 2, ..., n, minus ``0.5j damping / pi``.
     rate : float
         Sampling rate in Hz.
     n_cycle : int
-        Number of samples of the period.
+        Number of samples of the transform's period.
     damping : float
-        Rate in 1/s of the decaying exponential that the drive is multiplied by.
+        Decay rate of the exponential in 1/s.
+
+    Returns
+    -------
+    ndarray
+        (n,).
     """
     if isinstance(drive, Burst | Chirp | Tones):
         return drive.spectrum(frequency)
@@ -311,6 +321,6 @@ def drive_spectrum(
 
 
 def anti_alias(frequency: Array, rate: float) -> Array:
-    """Return the anti-alias filter's gain: 1 in the passband, then a raised cosine to 0."""
+    """Return the anti-alias filter's gain at frequencies in Hz: 1, then a raised cosine to 0."""
     falling = np.clip((2 * frequency / rate - PASSBAND) / (1 - PASSBAND), 0, 1)
     return 0.5 + 0.5 * np.cos(pi * falling)

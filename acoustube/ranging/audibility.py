@@ -49,8 +49,8 @@ def audible_level(rangefinder: Rangefinder) -> float:
     Returns
     -------
     float
-        Relative to a steady tone of 1 kHz with the amplitude of the drive at the transducer's best
-        frequency. Frequencies above 20 kHz are inaudible and not counted.
+        Relative to a steady tone of 1 kHz with the amplitude that the drive has at the transducer's
+        resonance. Frequencies above 20 kHz are inaudible and not counted.
 
     Notes
     -----

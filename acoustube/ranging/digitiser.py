@@ -60,9 +60,9 @@ def digitise(
         (n_samples,) in V, without offset.
     rangefinder : Rangefinder
     cycles : ndarray of int
-        Numbers of the cycles, (n,); the noise of a cycle depends on its number alone.
+        Numbers of the cycles, (n,); the noise of a cycle depends on its number and the seed alone.
     seed : int
-        Random seed of the noise.
+        Random seed of noise, trigger delays and gains.
     session_seed : int, optional
         Random seed of the drift; default `seed`.
 
@@ -98,7 +98,10 @@ def digitise(
 
 
 def _varied(mean: Array, rangefinder: Rangefinder, cycles: Numbers, seed: int) -> Array:
-    """Return each cycle's voltage with its trigger delay and gain; one row if neither varies."""
+    """Return `mean` with the trigger delay and gain of each cycle, (n, n_samples).
+
+    It is returned unchanged, (n_samples,), if neither varies.
+    """
     if rangefinder.jitter == 0 and rangefinder.gain_wander == 0:
         return mean
     draws = np.array([_generator(seed, TRIGGER_STREAM, cycle).normal(size=2) for cycle in cycles])
@@ -110,7 +113,7 @@ def _varied(mean: Array, rangefinder: Rangefinder, cycles: Numbers, seed: int) -
 
 
 def _generator(seed: int, *key: int) -> np.random.Generator:
-    """Return the generator of one stream and cycle, independent of all others."""
+    """Return the random generator of a key (stream, then cycle); all keys are independent."""
     return np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=key)))
 
 
@@ -173,7 +176,7 @@ def record(
     n_cycles, first_cycle : int
         Number of cycles, and the number of the first. The same number gives the same cycle.
     seed : int
-        Random seed of noise, drift and reported temperature.
+        Random seed of noise, trigger delays, gains and reported temperature.
     session_seed : int, optional
         Random seed of the drift; default `seed`. Cycles of one session share it.
     tube_seed : int

@@ -27,6 +27,7 @@ WINDOWS = {"rectangular": (1.0, 0.0), "hann": (0.5, 0.5), "hamming": (0.54, 0.46
 FREQUENCY = Number(1e3, 1e6, "Hz", "frequency of the drive")
 DURATION = Number(1e-5, 1.0, "s", "duration of the drive")
 MOST_TONES = 64
+"""Largest number of tones of a drive."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,11 @@ class Burst(Section):
         Default 13 (data sheet).
     shape : str
         ``square``, as from a logic output (default, chosen), or ``sine``.
+
+    Raises
+    ------
+    ConfigError
+        If a value is out of range.
     """
 
     frequency: float = setting(42e3, FREQUENCY)
@@ -75,14 +81,14 @@ class Burst(Section):
 
     @property
     def bandwidth(self) -> float:
-        """Bandwidth in Hz of the sweep: none."""
+        """Bandwidth in Hz of the frequency sweep: zero, since a burst has none."""
         return 0.0
 
     def spectrum(self, frequency: Complex) -> Complex:
         """Return the Fourier transform in s at frequencies in Hz, real or complex, not zero.
 
-        Closed forms, so that no overtone is aliased: a square is a sum of steps with the transforms
-        exp(-j omega t) / (j omega), a sine burst two sinc functions.
+        Closed forms, so that no overtone is aliased: a square burst is a sum of steps at times t,
+        with the transforms exp(-j omega t) / (j omega), and a sine burst has two sinc functions.
         """
         if self.shape == "sine":
             return _sine(frequency, self.frequency, self.duration)
@@ -161,7 +167,7 @@ class Chirp(Section):
         return np.asarray(lines)
 
     def _rectangular(self, frequency: Complex) -> Complex:
-        """Return the transform with a rectangular window."""
+        """Return the Fourier transform in s of the chirp with a rectangular window."""
         first = self.frequency - self.bandwidth / 2
         f = np.asarray(frequency, complex)
         rising = _fresnel(np.asarray(first - f), self.rate, self.duration)
@@ -183,6 +189,11 @@ class Tones(Section):
         ``in turn`` (default): bursts of full amplitude, one after the other, each of an equal part
         of the duration; ``together``: their sum over the whole duration, each tone with the
         amplitude 1 / n, so that the sum never exceeds 1.
+
+    Raises
+    ------
+    ConfigError
+        If a value is out of range, or there are more than :data:`MOST_TONES` tones.
     """
 
     frequencies: tuple[float, ...] = field(
@@ -198,12 +209,12 @@ class Tones(Section):
 
     @property
     def bandwidth(self) -> float:
-        """Distance in Hz of the outer zeros of the outer tones' spectra."""
+        """Width of the band in Hz, to the outer first zeros of the outermost tones' spectra."""
         return max(self.frequencies) - min(self.frequencies) + 2 / self._parts[0][2]
 
     @property
     def _parts(self) -> list[tuple[float, float, float, float]]:
-        """Frequency, start, duration and amplitude of each tone."""
+        """Frequency in Hz, start and duration in s, and amplitude of each tone."""
         n = len(self.frequencies)
         if self.order == "together":
             return [(f, 0.0, self.duration, 1 / n) for f in self.frequencies]
@@ -228,7 +239,7 @@ class Tones(Section):
 
 
 def _sine(frequency: Complex, carrier: float, end: float) -> Complex:
-    """Return the transform of a sine from 0 to a time in s, of a frequency in Hz."""
+    """Return the Fourier transform in s of a sine of `carrier` Hz that lasts from 0 to `end` s."""
     omega, own = 2 * pi * frequency, 2 * pi * carrier
     lines = [
         end * np.exp(0.5j * end * off) * np.sinc(end * off / (2 * pi))
@@ -238,17 +249,18 @@ def _sine(frequency: Complex, carrier: float, end: float) -> Complex:
 
 
 def _fresnel(off: Complex, rate: float, end: float) -> Complex:
-    """Return the integral from 0 to `end` of exp(2j pi (off t + rate t^2 / 2)).
+    """Return the integral in s from 0 to `end` of exp(2j pi (off t + rate t^2 / 2)) over t.
 
-    With a = off / rate it is exp(-j pi rate a^2) times that of exp(j pi rate u^2) from a to
-    a + end. Each end is expressed by w(z) = exp(-z^2) erfc(-j z) in the half plane in which it is
-    bounded; where 0 lies between the ends, the whole integral of the real axis is added.
+    With a = off / rate, the result is exp(-j pi rate a^2) times the integral of exp(j pi rate u^2)
+    over u from a to a + end. Each limit's part is expressed by w(z) = exp(-z^2) erfc(-j z) in the
+    half plane in which w is bounded. Where 0 lies between the limits, the integral over the whole
+    real axis is added.
     """
     a = off / rate
     root = np.exp(-0.25j * pi) * sqrt(pi * rate)
 
     def tail(u: Complex) -> Complex:
-        """Return exp(-j pi rate u^2) times the Fresnel integral from u away from 0, scaled."""
+        """Return exp(-j pi rate u^2) times the integral from u away from 0 to infinity, scaled."""
         return np.where(u.real >= 0, 1.0, -1.0) * wofz(1j * root * np.where(u.real >= 0, u, -u))
 
     turn = np.exp(1j * pi * rate * end * (2 * a + end))

@@ -85,10 +85,10 @@ class Rangefinder(Section):
         the drive, for a loudspeaker in a closed box and the band of a microphone; 0 for none.
         Default 0.
     send : float
-        Voltage in V received from its own steady drive at resonance, far over full scale. Default
-        170, chosen so that a press with a reflection coefficient of 0.2 has a separate peak at
-        distances of 16 cm and more, and not nearer: the dead zone of the sleeve paper and of
-        EchoTube, 6 inches in the data sheet.
+        Voltage in V that the transducer receives from its own steady drive at resonance, far over
+        full scale. Default 170, chosen so that a press with a reflection coefficient of 0.2 has a
+        separate peak at distances of 16 cm and more, and not nearer: the dead zone of the sleeve
+        paper and of EchoTube, 6 inches in the data sheet.
     gain : float
         Voltage in V received from a steady drive that a lossless tube reflects completely. Default
         1.25, chosen so that the arctan of the sleeve paper's calibration has the published
@@ -125,7 +125,7 @@ class Rangefinder(Section):
     cycle_rate : float
         Cycles per second. Default 20 (sleeve paper).
     jitter : float
-        Standard deviation of the trigger from cycle to cycle in s. Default 0.
+        Standard deviation of the trigger's delay from cycle to cycle in s. Default 0.
     gain_wander : float
         Relative standard deviation of the gain from cycle to cycle. Default 0.
     lead : float
@@ -139,7 +139,7 @@ class Rangefinder(Section):
     Raises
     ------
     ConfigError
-        If a value is outside its range.
+        If a value is outside its range, or `low_corner` is not below `high_corner`.
     """
 
     drive: Drive = field(default=Burst(), metadata={"rule": DRIVE})
@@ -226,9 +226,9 @@ LOUDSPEAKER = Rangefinder(
     drive=Chirp(frequency=9e3, bandwidth=12e3, duration=1e-3), quality_factor=0.0, low_corner=1e3,
     high_corner=18e3, send=0.75, gain=0.975, resonance=9e3,
 )  # fmt: skip
-"""A small loudspeaker and a microphone beside it with the default tube and converter.
+"""A small loudspeaker with a microphone beside it; all other parameters are the defaults.
 
-Chosen: the corners are those of a loudspeaker of 15 mm in a closed box and of a MEMS microphone.
+The chosen corners are those of a loudspeaker of 15 mm in a closed box and of a MEMS microphone.
 The amplifier is set so that its own drive just does not clip (0.88 of 0.9 V). Since the microphone
 receives launched and returning sound alike, `gain` is `send` times 1 plus the face's reflection
 coefficient.

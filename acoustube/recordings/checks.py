@@ -65,6 +65,7 @@ def check_samples(path: Path, signal: NDArray[Any]) -> tuple[NDArray[Any], NDArr
     Returns
     -------
     low, high : array of shape (cycle,)
+        Smallest and largest sample of each cycle.
     """
     count, first = 0, (0, 0)
     ends = []
@@ -88,7 +89,10 @@ def check_samples(path: Path, signal: NDArray[Any]) -> tuple[NDArray[Any], NDArr
 
 
 def silent_cycles(low: NDArray[Any], high: NDArray[Any]) -> list[str]:
-    """Return a warning with the number of silent cycles; see :func:`clipped_cycles`."""
+    """Return a warning with the number of silent cycles, or no warning if there are none.
+
+    Arguments and result are like those of :func:`clipped_cycles`.
+    """
     count = int(np.sum(low == high))
     text = f"{count} of {len(low)} cycles are silent: all their samples are equal."
     return [text] if count else []
@@ -97,7 +101,7 @@ def silent_cycles(low: NDArray[Any], high: NDArray[Any]) -> list[str]:
 def clipped_cycles(
     signal: NDArray[Any], rate: float, low: NDArray[Any], high: NDArray[Any]
 ) -> list[str]:
-    """Return a warning with the number of cycles clipped after the send pulse; integers only.
+    """Return a warning with the number of cycles that are clipped after the send pulse.
 
     Parameters
     ----------
@@ -110,7 +114,8 @@ def clipped_cycles(
     Returns
     -------
     list of str
-        One sentence, or an empty list.
+        One sentence; empty if no cycle is clipped, samples are not integers, or their range is
+        under :data:`MIN_CODE_RANGE`.
     """
     bottom, top = int(low.min()), int(high.max())
     later = signal[:, int(SEND_PULSE_END * rate) :]
@@ -132,11 +137,15 @@ STATED = {
     "full_scale": Number(1, 1e12, "counts"), "bore_radius": Number(1e-5, 1e3, "m"),
     "tube_length": Number(1e-2, 1e3, "m"),
 }  # fmt: skip
-"""Attributes of recordings that acoustube wrote; labels instead, where they vary between cycles."""
+"""Rules of attributes of recordings that acoustube wrote, by name.
+
+Where they vary between cycles, they are variables (cycle) instead."""
 
 
 def check_statements(path: Path, data: xr.Dataset, labels: Iterable[str]) -> None:
-    """Raise ConfigError unless labels and attributes in an acoustube file are numbers in range.
+    """Raise ConfigError unless labels are one number a cycle, and attributes are in range.
+
+    The attributes are those of :data:`STATED`, in a file that acoustube wrote.
 
     Parameters
     ----------

@@ -121,9 +121,9 @@ def assemble(
     others : dict
         Arrays of other names in the file. Arrays of one value per cycle become labels.
     labels : dict
-        Further labels that were given and must fit.
+        Labels by name from elsewhere: each must have one value per cycle, or one for all.
     notes : list of str
-        Warnings so far.
+        Warnings so far, to which further ones are appended.
 
     Returns
     -------
@@ -206,7 +206,7 @@ def _scaled(name: str, value: Any, scale: float) -> NDArray[np.float64]:
 
 
 def _signal(path: Path, known: Named, others: Named) -> NDArray[Any]:
-    """Return the samples: the array ``signal``, or the only numeric one of the most dimensions."""
+    """Return the array ``signal``, or else take the only numeric one of most axes from `others`."""
     if "signal" in known:
         return _real(path, known["signal"])
     arrays = {name: np.asarray(value) for name, value in others.items()}
@@ -281,7 +281,7 @@ def _cut(path: Path, record: NDArray[Any], known: Named, notes: list[str]) -> ND
 def _rate(path: Path, known: Named, lengths: tuple[int, ...]) -> float:
     """Return the sampling rate in Hz, as given or else of the time axis.
 
-    ConfigError if neither is there, they disagree, or the axis has none of the `lengths`.
+    Raise ConfigError if neither is there, they disagree, or the axis has none of the `lengths`.
     """
     given = _single(path, "sampling rate", known.get("sampling_rate"))
     axis = None
@@ -388,8 +388,8 @@ def _too_long(labels: Named) -> list[str]:
 def _start(known: Named, length: int) -> float:
     """Return the time of a cycle's first sample in s, from its time axis with the trigger at 0.
 
-    It is 0 without a time axis, for one of several cycles, and for one that starts
-    :data:`MAX_LEAD_TIME` or more from 0: these do not refer to the trigger.
+    It is 0 without a time axis, for an axis over several cycles, and for an axis that starts
+    :data:`MAX_LEAD_TIME` or more from 0: such axes do not refer to the trigger.
     """
     time = np.ravel(known.get("time", ()))
     near = time.size == length and abs(float(time[0])) < MAX_LEAD_TIME

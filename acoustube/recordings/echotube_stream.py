@@ -42,8 +42,8 @@ class Frame(NamedTuple):
     Attributes
     ----------
     pulse_width : int
-        Time of flight that the rangefinder itself measured, in us, 0 to 65535. If the echo arrives
-        after the last sample, it is that of the previous cycle, since the board stores it then.
+        Time of flight that the rangefinder itself measured, in us, 0 to 65535. The board stores it
+        when the echo arrives: after the cycle's last sample, the frame has the previous cycle's.
     samples : array of shape (time,)
         Unsigned 8-bit samples, beginning with the cycle's third: the pulse width replaces the
         first two.
@@ -72,12 +72,13 @@ class Decoder:
         frame with a byte altered to zero counts as two; two frames whose separating zero is lost
         count as one.
     n_joined : int
-        1 if the bytes before the first zero were not a frame: reception began within a frame.
+        1 if the bytes before the first zero were not a frame: reception began within a frame. More
+        bytes than a frame's count as garbled instead.
 
     Raises
     ------
     ConfigError
-        If the library cobs is missing.
+        If the library cobs is missing, or `frame_bytes` is not a whole number of at least 3.
 
     Notes
     -----
@@ -90,8 +91,8 @@ class Decoder:
     The higher byte of the pulse width comes first. EchoTube's firmware (`echotube.ino` of the
     repository ctejada10/echotube) packs it so, into the first two of 2000 samples.
 
-    No more than one frame and a byte are kept. A longer piece without a zero is counted as
-    corrupted at once, and its rest up to the next zero is discarded.
+    No more than one frame and a byte are kept. A longer piece without a zero is counted as garbled
+    at once, and its rest up to the next zero is discarded.
     """
 
     def __init__(self, frame_bytes: int = FRAME_BYTES):
@@ -131,7 +132,7 @@ class Decoder:
             self.n_garbled += 1
 
     def _finish(self) -> Frame | None:
-        """Return the frame that a zero byte has completed, or count a corrupted one."""
+        """Return the frame that a zero byte has completed, or count a garbled one, return None."""
         payload = None if self._too_long else self._payload()
         known = self._too_long or not self._piece
         first, self._first, self._too_long = self._first, False, False
@@ -146,7 +147,7 @@ class Decoder:
         return None
 
     def _payload(self) -> bytes | None:
-        """Return the decoded piece if it is as long as a frame."""
+        """Return the decoded piece if it is as long as a frame, else None."""
         try:
             payload: bytes = self._cobs.decode(bytes(self._piece))
         except self._cobs.DecodeError:
@@ -163,6 +164,13 @@ def encode(pulse_width: int, samples: ArrayLike) -> bytes:
         In us, 0 to 65535.
     samples : array of shape (time,)
         Unsigned 8-bit samples without the cycle's first two.
+
+    Raises
+    ------
+    ConfigError
+        If the library cobs is missing.
+    OverflowError
+        If the pulse width is not within 0 to 65535.
     """
     payload = (
         pulse_width.to_bytes(PULSE_WIDTH_BYTES, "big") + np.asarray(samples, np.uint8).tobytes()
@@ -185,7 +193,7 @@ class Port(Protocol):
 
     @property
     def in_waiting(self) -> int:
-        """Number of received bytes."""
+        """Number of received bytes that wait to be read."""
 
     def read(self, size: int = 1) -> bytes:
         """Return up to `size` bytes, or fewer after a time-out."""
@@ -194,8 +202,9 @@ class Port(Protocol):
 class Receiver:
     """Receiver that reads a port on its own thread and keeps the newest cycles.
 
-    If the processing is slower than the stream, the oldest waiting cycle is dropped and counted, so
-    that the delay is bounded.
+    Reading begins at the entry of a ``with`` block and stops at its end. If the processing is
+    slower than the stream, the oldest waiting cycle is dropped and counted, so that the delay is
+    bounded.
 
     Parameters
     ----------
@@ -239,9 +248,10 @@ class Receiver:
         self._thread.join()
 
     def take(self) -> tuple[float, Frame] | None:
-        """Return arrival time and frame of the oldest waiting cycle, or None after a time-out.
+        """Return arrival time and frame of the oldest waiting cycle, or None.
 
-        The arrival time is that of its last byte, in s of `time.perf_counter`.
+        The arrival time is that of its last byte, in s of `time.perf_counter`. The result is None
+        if no cycle arrives within :data:`POLL_INTERVAL`, or none waits and the stream has ended.
         """
         with self._news:
             if not self._waiting and self.failure is None and not self._stopped.is_set():

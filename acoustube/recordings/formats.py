@@ -25,13 +25,14 @@ def load(path: Path) -> Contents:
     Returns
     -------
     dict
-        Signals of shape (cycle, time), (time,) or, with channels, (cycle, time, channel).
+        Arrays and single values by their name in the file, and a Note where its reading needs one.
+        A signal has the shape (cycle, time), (time,) or, with channels, (cycle, time, channel).
 
     Raises
     ------
     ConfigError
         If the file is damaged, of another kind, or exceeds a limit of
-        :mod:`acoustube.base.foreign.limits`.
+        :mod:`acoustube.base.foreign.limits`, or a package that reads it is missing.
     """
     kind, loader = KINDS[path.suffix.lower()]
     check_file(path, "table" if loader is read_table else "recording")

@@ -42,7 +42,7 @@ class Markers:
     names : tuple of str
         Names of the columns.
     unit : str
-        Unit of the file.
+        Unit of the file's coordinates: ``mm``, ``cm`` or ``m``.
     unit_stated : bool
         True if the file, or the caller, stated the unit.
     """
@@ -115,7 +115,7 @@ def _column_names(rows: Rows, wanted: Sequence[str] | None, path: Path) -> tuple
 
 
 def _median_positions(column: dict[str, list[Array]]) -> Array:
-    """Return the median position of each marker, nan for one that is in no frame."""
+    """Return the median position (n, 3) of each marker, nan for a marker that is in no frame."""
     found = []
     for frames in column.values():
         seen = np.array([frame for frame in frames if np.all(np.isfinite(frame))])
@@ -124,7 +124,7 @@ def _median_positions(column: dict[str, list[Array]]) -> Array:
 
 
 def _from_table(path: Path) -> tuple[Rows, str | None]:
-    """Read a text table."""
+    """Return the markers of a text table, and the unit that it states, if any."""
     with path.open(encoding="utf-8-sig", newline="") as file:
         lines = [line for line in file if line.strip() and not line.startswith("#")]
     if not lines:
@@ -147,7 +147,7 @@ def _from_table(path: Path) -> tuple[Rows, str | None]:
 
 
 def _header(names: list[str], path: Path) -> tuple[dict[str, int], str | None]:
-    """Return the index of each column, and the unit in their names."""
+    """Return the index of each column by its name, and the unit in the names of x, y, z, if any."""
     places: dict[str, int] = {}
     units = set()
     for i, name in enumerate(names):
@@ -181,7 +181,7 @@ def _number(cell: str, where: str) -> float:
 
 
 def _from_c3d(path: Path) -> tuple[Rows, str | None]:
-    """Read a C3D file."""
+    """Return the markers of a C3D file, and the unit that it states, if any."""
     try:
         found = {label["name"]: value for label, value in child.read("c3d", path, "markers")}
     except child.MissingPackage:

@@ -63,9 +63,10 @@ def read(
     -------
     xarray.Dataset
         ``signal`` (cycle, time) in the type that it is stored in, ``temperature`` (cycle) in degC,
-        labels (cycle): known ones and arrays of this length; coordinates ``cycle`` and ``time`` in
-        s. Attributes: ``sampling_rate`` in Hz, ``source``, ``file``, ``warnings`` (by line).
-        A file of :func:`write` is returned unchanged if no other argument is given.
+        labels (cycle): those of known quantities, and all arrays of one value per cycle;
+        coordinates ``cycle`` and ``time`` in s. Attributes: ``sampling_rate`` in Hz, ``source``,
+        ``file``, ``warnings`` (by line). A file of :func:`write` is returned as it was written if
+        no other argument is given and there is no sidecar file.
 
     Raises
     ------
@@ -183,7 +184,9 @@ def write(dataset: xr.Dataset, path: str | Path) -> None:
     Raises
     ------
     ConfigError
-        If the name ends otherwise.
+        If the name ends otherwise, or the file cannot be written.
+    SimulationError
+        If the disk is full.
     """
     path = Path(path)
     check_netcdf_name(path)
@@ -226,7 +229,7 @@ def _check_kind(path: Path) -> Path:
 
 
 def _sidecar(path: Path) -> dict[str, Any]:
-    """Return the values of a file's sidecar, under the names used in files."""
+    """Return the values of a file's sidecar by quantity, as `assemble` takes them, if any."""
     sidecars = [
         file for suffix in (".toml", ".json") if (file := path.with_suffix(suffix)).is_file()
     ]
@@ -249,7 +252,7 @@ def _sidecar(path: Path) -> dict[str, Any]:
 
 
 def stated_length(data: xr.Dataset) -> float | None:
-    """Return the length of the tube in m that a recording states, if any.
+    """Return the length of the tube in m that a recording states for its first cycle, or None.
 
     Parameters
     ----------

@@ -88,12 +88,14 @@ def read_table(path: Path) -> Contents:
     Returns
     -------
     dict
-        The signal of shape (cycle, time), and the other columns and settings.
+        ``signal`` of shape (cycle, time), and the other columns and settings by name. A Note states
+        where cycles were taken to be in columns.
 
     Raises
     ------
     ValueError
-        If a row is too long, or a sample is not a number.
+        If the table is empty, has too many columns or not one for each name, or a sample is not a
+        number.
 
     Notes
     -----
@@ -108,7 +110,7 @@ def read_table(path: Path) -> Contents:
 
 
 def _cells(path: Path) -> tuple[list[str], list[NDArray[Any]], Contents]:
-    """Return the names of the columns, if they have any, the columns, and ``# key: value``."""
+    """Return names of columns (none without a header), columns, and settings ``# key: value``."""
     import pandas
 
     with path.open(encoding="utf-8-sig", errors="replace") as file:
@@ -192,7 +194,9 @@ def _unnamed_columns(columns: list[NDArray[Any]]) -> Contents:
 def _by_shape(columns: list[NDArray[Any]]) -> Contents:
     """Return the signal with the longer side as time; rows are cycles where both are equal."""
     samples = _stacked(columns)
-    if len(columns) == 1 or samples.shape[0] >= samples.shape[1]:
+    if len(columns) == 1:
+        return {"signal": samples}
+    if samples.shape[0] >= samples.shape[1]:
         return {"signal": samples.T}
     note = Note(
         f"The table of {samples.shape[1]} rows and {len(columns)} columns was taken for cycles in "

@@ -134,7 +134,7 @@ def contact_in_words(tubes: Sequence[Helix], found: Layout, contact: tuple[int, 
 
 
 def write_table(path: Path, tubes: Sequence[Helix], found: Layout, step: float) -> None:
-    """Write the table of the position on the arm of each distance.
+    """Write a CSV table of the positions on the arm at evenly spaced distances along each tube.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ FORCE_DROP_TOLERANCE = 1e-3
 LARGEST_SPACING = 1 / 12
 """Largest spacing of the depths of a load path that is interpolated, in bore diameters."""
 BISECTIONS = 50
-"""Number of bisections of the interval between two rows, down to the round-off of a depth."""
+"""Number of bisections between two rows of a load path, down to the round-off of a depth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class ByForce:
 
 
 def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
-    """Return the presses of a load path that have given contact forces.
+    """Return depth, lumen and settlement of a load path at given contact forces.
 
     Parameters
     ----------
@@ -71,15 +71,16 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
     ------
     ConfigError
         If a force is negative or exceeds that at the end of the path, or if the depths of the path
-        are too far apart or too few.
+        are more than :data:`LARGEST_SPACING` bore diameters apart or fewer than five, with that of
+        first contact.
     SimulationError
-        If the force falls along the path, so that the depth is not unique.
+        If the force falls along the path, so that a force belongs to several depths.
 
     Notes
     -----
-    The depth is a root of the cubic spline of the force, between the first two rows that enclose
-    the force; the lumen is that of the interpolated wall at this depth, and the error that of
-    :meth:`acoustube.indentation.DepthPath.error`.
+    The depth is where the cubic spline of the force over depth has the given force, between the
+    first two rows that enclose it. The lumen is that of the interpolated wall at this depth, and
+    the error that of :meth:`acoustube.indentation.DepthPath.error`.
     """
     wanted, path = np.asarray(force, float), indentation.contact_force
     spacing = LARGEST_SPACING * indentation.tube.inner_diameter
@@ -112,9 +113,9 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
 
 
 def _depths(spline: DepthPath, force: Array) -> Array:
-    """Return the depths in m at which the spline has forces (n,), by bisection between its rows."""
+    """Return the depths in m, (n,), at which the spline has forces in N, (n,), by bisection."""
     rows, path = spline.indentation.depth, spline.indentation.contact_force
-    # The first row at or above the force; the one before is below it.
+    # The first row at or above the force; the row before is below the force.
     after = np.searchsorted(np.maximum.accumulate(path), force)
     low, high = rows[np.maximum(after - 1, 0)], rows[after]
     for _ in range(BISECTIONS):
@@ -125,7 +126,7 @@ def _depths(spline: DepthPath, force: Array) -> Array:
 
 
 def _measured(spline: DepthPath, depth: Array) -> tuple[Array, Array, Array]:
-    """Return closure in m, settlement in m and lumen area in m2 at rising depths in m."""
+    """Return closure in m, settlement in m and lumen area in m2 at rising depths in m, all (n,)."""
     mesh, wall = spline.indentation.mesh, inner_wall(spline.indentation.mesh)
     middle = np.array([spline.indentation.indenters[0].z])
     undeformed = measure(spline.indentation, 0, middle, wall)

@@ -9,18 +9,26 @@ from acoustube.runs.config.si import SIPress, SISettings
 # Measured with benchmarks/fdtd_throughput.py and the default run on two quiet cores; used only for
 # the estimate that a command prints first.
 FIXED_SECONDS, FIXED_GIGABYTES = 20.0, 0.6
-STEPS_PER_LAYER = 3.9  # time steps per axial layer, for both source ends; half of them are silent
-SCATTERING_STEPS = 8 * 8000.0  # time steps of eight runs of 12 ms, at one cell per mm
+"""Time in s and memory in GB of a simulation, without those that grow with the FDTD grid."""
+STEPS_PER_LAYER = 3.9
+"""Time steps of FDTD of a whole tube per axial layer of cells, for both source ends together.
+
+Half of all, in which a layer is silent and is not advanced, are not counted.
+"""
+SCATTERING_STEPS = 8 * 8000.0
+"""Time steps of a scattering matrix by FDTD at one cell per mm: eight runs of 12 ms."""
 SECONDS_PER_CELL_STEP, LOSSY, GIGABYTES_PER_CELL = 0.6e-9, 3.0, 3e-7
+"""Costs of FDTD: time in s per cell and step; factor of the time with losses; GB per cell."""
 SPECTRAL_SECONDS = 1.5
+"""Time in s of a scattering matrix by the spectral solver, without losses."""
 PRESS_SECONDS, PRESS_GIGABYTES = {2: (5.0, 2.5), 1: (10.0, 6.0), 0: (30.0, 20.0)}, 1.0
-"""Time of a press in s, fixed and per mm of depth, by number of symmetry planes; memory in GB."""
+"""Costs of a press: time as (s, s per mm of depth), by number of symmetry planes; memory in GB."""
 TETRAHEDRA = 4.0
 """Ratio of the computing time of a press of an imported wall to that of a round tube."""
 
 
 def press_seconds(settings: SIPress, depth: float) -> float:
-    """Return the expected computing time in s of a press to a depth in m."""
+    """Return the expected computing time in s of a press of a round tube to a depth in m."""
     start, per_mm = PRESS_SECONDS[sum(settings.indenter.halves)]
     return start + per_mm * MM * depth
 
@@ -43,7 +51,10 @@ def spectral_seconds(settings: SISettings) -> float:
 
 
 def cells_of(settings: SISettings) -> float:
-    """Return the number of cells of the FDTD grid, a box around the bore."""
+    """Return the number of cells of the FDTD grid, a box around the bore.
+
+    It covers the whole tube with the method ``full``, otherwise the pressed part.
+    """
     return grid_cells(
         bore=settings.tube.inner_diameter,
         outer_diameter=settings.tube.outer_diameter,

@@ -27,8 +27,9 @@ def read_surface(path: str | Path) -> trimesh.Trimesh:
     Raises
     ------
     ConfigError
-        If the file cannot be read, or its surface is not that of one tube: it is open, crosses
-        itself, has several bodies, lacks two flat ends across z, or does not have one bore.
+        If the file cannot be read, its size is not that of a tube in mm, or its surface is not that
+        of one tube: it is open, crosses itself, has several bodies, lacks two flat ends across z,
+        or does not have one bore.
     """
     path = Path(path)
     surface = surfaces.load(path)

@@ -39,7 +39,9 @@ CONTACT_COLUMNS = (
     "probability", "distance_cm", "distance_sd_cm", "depth_mm", "depth_sd_mm", "force_n",
     "force_sd_n", "indenter_mm", "misfit",
 )  # fmt: skip
+"""Columns of a contact in tables; ``sd`` is a standard deviation."""
 COLUMNS = ("recording", "group", "contact", *CONTACT_COLUMNS)
+"""Columns of the table of contacts of recordings."""
 USUAL_LENGTH = 2.5
 """Tube length in m, assumed where neither the sensor's file nor the recording states one."""
 SAME_AIR = 0.25
@@ -54,13 +56,14 @@ class Sensor:
     Attributes
     ----------
     rangefinder : Rangefinder or None
-        None for the sleeve paper's, with the recordings' sampling rate.
+        None for that of the sleeve paper, with the sampling rate of the recordings.
     known_thermometer : bool
         Whether the ``temperature_bias`` of `rangefinder` is that of the sensor. False where a file
         does not state it.
     length : float or None
         Length of the tube in m, used where a recording does not state it.
     priors : Priors
+        Standard deviations of the uncertain quantities.
     young_modulus : (float, float) or None
         Young's modulus of the wall and its standard deviation, in Pa; None for that of the library.
     wrap : Wrap or None
@@ -75,7 +78,13 @@ class Sensor:
     wrap: Wrap | None = None
 
     def own(self, library: Library) -> Library:
-        """Return a library whose forces are scaled to the modulus of the sensor's wall."""
+        """Return a library with forces scaled to the sensor's modulus, unchanged if unknown.
+
+        Raises
+        ------
+        ConfigError
+            If the forces of the library do not scale with the modulus.
+        """
         return (
             library
             if self.young_modulus is None
@@ -83,11 +92,11 @@ class Sensor:
         )
 
     def temperature_bias(self, recorded: xr.Dataset | None = None) -> float:
-        """Return the mean error of the thermometer in K.
+        """Return the mean error of the thermometer in K, reading minus air.
 
-        It is that of the sensor if known. Otherwise it is that which a recording of
-        :func:`acoustube.ranging.record` states, and 0 for other recordings and for datasets, whose
-        sessions have errors drawn about 0.
+        It is that of the sensor if known. Otherwise it is the error that `recorded` states, as a
+        recording of :func:`acoustube.ranging.record` does. It is 0 if nothing states it, and for
+        datasets, whose sessions have errors drawn about 0.
         """
         if self.rangefinder is not None and self.known_thermometer:
             return self.rangefinder.temperature_bias
@@ -111,7 +120,7 @@ def read_sensor(path: Path) -> Sensor:
     Raises
     ------
     ConfigError
-        If it cannot be read, or a name or a value is wrong.
+        If the file cannot be read, or a name or a value is wrong.
     """
     given = read_document(path)
     document, modulus = sensor_document(given, path), young_modulus(given, path)
@@ -143,7 +152,7 @@ class RecordingInverter:
     library : Library
     sensor : Sensor
     untouched : sequence of (Path, xarray.Dataset), optional
-        Recordings of the untouched tube, from which its clutter is estimated.
+        Recordings of the untouched tube, from which its clutter is estimated; none for no clutter.
     most : int
         Largest number of contacts.
     """
@@ -171,6 +180,11 @@ class RecordingInverter:
             Length of the tube in m.
         untouched : sequence of (Path, xarray.Dataset)
             Recordings of the untouched tube from the other end.
+
+        Raises
+        ------
+        ConfigError
+            If the wrapped part ends beyond the tube.
         """
         wrap = None if self.sensor.wrap is None else self.sensor.wrap.from_other_end(length)
         sensor = dataclasses.replace(self.sensor, wrap=wrap, length=length)
@@ -179,7 +193,7 @@ class RecordingInverter:
     def groups(
         self, path: Path, data: xr.Dataset, size: int, check: Callable[[], None]
     ) -> Iterator[tuple[int, Inversion]]:
-        """Yield the number of each group of cycles of a recording, and its posterior.
+        """Yield the number, from 0, of each group of consecutive cycles, and its inversion.
 
         Parameters
         ----------
@@ -195,7 +209,7 @@ class RecordingInverter:
         Raises
         ------
         ConfigError
-            If the recording does not match the sensor.
+            If the recording does not match the sensor, the library or the untouched cycles.
         """
         rangefinder = self._rangefinder(path, data)
         signal, temperature = data["signal"], data["temperature"].values
@@ -227,7 +241,7 @@ class RecordingInverter:
     def _inverter(
         self, path: Path, data: xr.Dataset, rangefinder: Rangefinder, air: float
     ) -> Inverter:
-        """Return the inverter for a recording at a temperature in degC."""
+        """Return the inverter for a recording at an air temperature in degC, reused if known."""
         key = (data.sizes["time"], length := self.length(data) or USUAL_LENGTH, rangefinder)
         known = self._known.get(key)
         if known is not None and abs(known[0] - air) < SAME_AIR:
@@ -269,7 +283,7 @@ class RecordingInverter:
         return self.sensor.length if own is None else own
 
     def _untouched(self, path: Path, data: xr.Dataset) -> tuple[Any, float]:
-        """Return the untouched cycles and their mean temperature in degC."""
+        """Return all untouched cycles, (n, n_samples), and their mean air temperature in degC."""
         cycles, temperatures = [], []
         for source, one in self.untouched:
             if one.sizes["time"] != data.sizes["time"]:
@@ -283,7 +297,10 @@ class RecordingInverter:
 
 
 def check_band(library: Library, base: Baseband) -> None:
-    """Raise :class:`ConfigError` if a library's band does not contain that of a baseband."""
+    """Raise :class:`ConfigError` if a library's band does not contain that of a baseband.
+
+    The frequencies of the baseband are converted to the speed of sound of the library.
+    """
     low, high = library.band
     ratio = library.sound_speed / base.speed
     least, most = base.frequency[0] * ratio * 0.99, base.frequency[-1] * ratio * 1.01
@@ -299,7 +316,10 @@ def check_band(library: Library, base: Baseband) -> None:
 def rows_of(
     path: Path, group: int, contacts: Sequence[tuple[Contact, float]], library: Library
 ) -> list[list[object]]:
-    """Return a row of :data:`COLUMNS` for each pair of contact and misfit, numbered from 0."""
+    """Return a row of :data:`COLUMNS` for each pair of contact and misfit of a group.
+
+    Contacts are numbered from 0.
+    """
     return [
         [str(path), group, number, *contact_cells(contact, misfit, library)]
         for number, (contact, misfit) in enumerate(contacts)
@@ -307,7 +327,7 @@ def rows_of(
 
 
 def contact_cells(contact: Contact, misfit: float, library: Library) -> list[str]:
-    """Return the cells of :data:`CONTACT_COLUMNS` for a contact."""
+    """Return the cells of :data:`CONTACT_COLUMNS` for a contact and a misfit."""
     estimates = (contact.distance, CM), (contact.depth, MM), (contact.force, 1.0)
     values = [
         f"{scale * value:.6g}" for one, scale in estimates for value in (one.value, one.deviation)
@@ -319,7 +339,10 @@ def contact_cells(contact: Contact, misfit: float, library: Library) -> list[str
 def note_warnings(
     path: Path, misfits: Sequence[float], n_groups: int, length: float | None, report: Reporter
 ) -> None:
-    """Report groups with a large misfit, and a tube length that is assumed."""
+    """Report the groups that do not fit, given their misfits, and an assumed tube length.
+
+    `length` is the stated length of the tube in m; None if it was assumed.
+    """
     if misfits:
         report.note(
             f"{path}: in {len(misfits)} of {n_groups} groups the echo differs from the library's "

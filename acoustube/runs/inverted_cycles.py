@@ -16,7 +16,7 @@ from acoustube.inversion import Contact, Estimate, Inversion
 from acoustube.runs.inversion import RecordingInverter
 
 LEVELS = 0.68, 0.9
-"""Probabilities of the central intervals, the same as those of the trained estimators."""
+"""Probabilities of the central intervals, equal to those of the trained estimators."""
 
 
 def inverted(
@@ -30,23 +30,23 @@ def inverted(
     Parameters
     ----------
     recordings : iterable of (Path, xarray.Dataset)
-        Files, named in messages, and their labelled cycles, from
+        Files, which messages name, and their labelled cycles, from
         :func:`acoustube.runs.recordings.read_cycles`.
     inverter : RecordingInverter
     size : int
         Largest number of cycles in a group.
     report : callable
-        Called with a stage and the fraction of it that is done.
+        Called with the name of the stage and the finished fraction of a file.
 
     Returns
     -------
     table : xarray.Dataset
-        Labels of the groups, by ``cycle``.
+        Labels of the groups in SI units, one along ``cycle`` for each group.
     estimates : xarray.Dataset
-        Format of :func:`acoustube.estimation.estimate`. They are those of the most probable
-        contact; of contacts equally probable within 0.01, those of the one with the largest force;
-        nan where no contact has a probability above 0.5. Half widths are those of the central
-        intervals.
+        Format of :func:`acoustube.estimation.estimate`, along the same dimension. Estimates are
+        those of the most probable contact; of contacts equally probable within 0.01, of that with
+        the largest force. ``_deviation`` and ``_half_width`` are half the widths of the central
+        intervals of 68 % and 90 %. All are nan where no contact has a probability above 0.5.
 
     Raises
     ------
@@ -77,7 +77,10 @@ def inverted(
 
 
 def alike(data: xr.Dataset, labels: Sequence[str], size: int) -> Iterator[tuple[xr.Dataset, float]]:
-    """Yield groups of consecutive cycles with equal labels, and the fraction of cycles done."""
+    """Yield groups of consecutive cycles with equal labels, and the finished fraction of cycles.
+
+    A group has at most `size` cycles. A label that is nan counts as zero.
+    """
     values = np.stack([np.nan_to_num(data[name].values.astype(float)) for name in labels])
     n = data.sizes["cycle"]
     edges = [0, *(1 + np.flatnonzero(np.any(np.diff(values, axis=1) != 0, axis=0))), n]
@@ -88,7 +91,7 @@ def alike(data: xr.Dataset, labels: Sequence[str], size: int) -> Iterator[tuple[
 
 
 def _estimated(found: Inversion) -> dict[str, float]:
-    """Return the estimates of a group, with the half widths of their intervals."""
+    """Return the estimates of a group by name, with the half widths of their intervals."""
     likely = [one for one in found.contacts if one.probability > 0.5]
     best: Contact | None = max(likely, key=_rank, default=None)
     row: dict[str, Any] = {}

@@ -86,22 +86,25 @@ class Tally:
 
     Attributes
     ----------
-    n_cycles, n_detections : int
-        Numbers of processed cycles, and of those with a detected echo.
+    n_cycles : int
+        Number of processed cycles.
+    n_detections : int
+        Number of processed cycles with a detected echo.
     n_skipped : int
         Number of cycles that were not inverted, because newer ones were waiting.
     learning : bool
         Whether the clutter of the untouched tube is being estimated.
     found : Tracked or None
-        Contacts of the last cycle that was inverted.
+        Contacts of the last cycle that was inverted; None before the first.
     n_garbled, n_joined, n_bytes : int
         See :class:`acoustube.recordings.echotube_stream.Decoder`.
     n_dropped : int
         Number of intact cycles that were not processed for lack of time.
     arrivals : deque of float
-        Arrival times of the last cycles in s, by `time.perf_counter`.
+        Arrival times of the last 40 cycles in s, by `time.perf_counter`.
     latencies : deque of float
-        Times in s from the last byte of a cycle to its row in the log, of the last cycles.
+        Times in s from the last byte of a cycle to its row in the log, of the last
+        :data:`RECENT` cycles.
     """
 
     n_cycles: int = 0
@@ -143,7 +146,7 @@ class Tally:
 
 
 Show = Callable[[Tally, Ranging | None], None]
-"""Function called with the counts and the last cycle, about a hundred times a second."""
+"""Function called with the counts and the last cycle's result, about a hundred times a second."""
 
 
 def follow(
@@ -160,7 +163,7 @@ def follow(
     ----------
     stream : Stream
     show : callable
-        Called with the counts so far and the last cycle, None before the first.
+        Called with the counts so far and the result of the last cycle, None before the first.
     out : Path, optional
         New CSV file with one row of :data:`LIVE_COLUMNS` per cycle, written as the cycle arrives:
         `received_s` is the Unix time in s at which a cycle's last byte arrived, and `pulse_width`
@@ -175,12 +178,14 @@ def follow(
     tally : Tally
         Final counts.
     failure : Exception or None
-        Error that ended the connection; complete cycles are processed and logged.
+        Error that ended the connection, None otherwise; complete cycles are processed and logged.
 
     Raises
     ------
     ConfigError
-        If the calibration or the port cannot be used.
+        If the calibration, the library, the sensor, the port or a file cannot be used.
+    SimulationError
+        If a row cannot be written, as on a full disk.
     KeyboardInterrupt
         With a message on the counts and the log file.
     """
@@ -227,7 +232,7 @@ def follow(
 
 
 def _tracker(stream: Stream) -> Tracker:
-    """Return the tracker that processes the stream's cycles, tested with a cycle of zeros."""
+    """Return the tracker of echoes in the stream's cycles; raise if such cycles are unsuitable."""
     known, settings = chosen(stream.calibration, stream.prominence)
     check_rate(stream.rate, known, Path(stream.port))
     settings = signals.without_aliased_template(settings, stream.rate)
@@ -242,7 +247,7 @@ def _tracker(stream: Stream) -> Tracker:
 
 @contextlib.contextmanager
 def _opened(port: str, baud: int) -> Iterator[Any]:
-    """Yield an open serial port."""
+    """Yield an open serial port, for a bit rate in bit/s."""
     try:
         import serial
     except ImportError as error:
@@ -273,7 +278,7 @@ def _follower(stream: Stream, contacts: Contacts | None) -> Follower | None:
 
 @contextlib.contextmanager
 def _log(out: Path | None, columns: Sequence[str]) -> Iterator[Callable[[list[object]], None]]:
-    """Yield a function that immediately writes a row to a new file."""
+    """Yield a function that immediately writes a row to a new file, or does nothing without one."""
     if out is None:
         yield lambda _: None
         return

@@ -32,12 +32,13 @@ from acoustube.runs.inversion import (
 from acoustube.runs.libraries.files import open_library
 
 COLUMNS = ("cycle", "received_s", "contact", *CONTACT_COLUMNS)
+"""Columns of the table of contacts; the units are in the names."""
 BITS = 8
 """Resolution of a board's samples in bits."""
 FEWEST = 8
 """Smallest number of untouched cycles from which clutter is estimated."""
 BACKLOG = 2
-"""Largest number of waiting cycles with which a cycle is still inverted."""
+"""Largest number of waiting cycles at which a cycle is still inverted, not skipped."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,11 +53,11 @@ class Contacts:
         TOML file of the sensor, see :func:`acoustube.runs.inversion.read_sensor`.
     rest : float
         Time in s at the start during which the tube is untouched and its clutter is estimated; 0
-        to omit this.
+        to assume no clutter.
     most : int
         Largest number of contacts.
     table : Path or None
-        New CSV file with one row of :data:`COLUMNS` per contact and cycle.
+        New CSV file with one row of :data:`COLUMNS` per contact and cycle; None for no file.
     """
 
     folder: Path
@@ -80,9 +81,9 @@ class Follower:
     rate : float
         Sampling rate in Hz.
     n_samples : int
-        Samples of a cycle, including the two that the pulse width replaces.
+        Samples of a cycle, including the first two, which the board replaces by the pulse width.
     temperature : float
-        Air temperature in degC.
+        Temperature in degC that the thermometer reads; the sensor's bias is subtracted.
 
     Raises
     ------
@@ -134,7 +135,7 @@ class Follower:
         samples : ndarray
             Samples of the cycle from the third on, (n_samples - 2,).
         received : float
-            Arrival time in s.
+            Arrival time in s, from any zero.
         waiting : int
             Number of cycles that have arrived since; above :data:`BACKLOG` the cycle is skipped.
         """
@@ -164,7 +165,10 @@ class Follower:
         return ContactTracker(model, self.how.most)
 
     def rows(self, number: int, received: float, found: Tracked | None) -> list[list[object]]:
-        """Return a row of :data:`COLUMNS` for each contact of a cycle."""
+        """Return a row of :data:`COLUMNS` for each contact of a cycle; none if `found` is None.
+
+        `number` is that of the cycle, and `received` its arrival as Unix time in s.
+        """
         if found is None:
             return []
         return [
@@ -174,7 +178,7 @@ class Follower:
 
 
 def in_words(found: Tracked) -> list[str]:
-    """Return a line for each contact, with standard deviations."""
+    """Return a line for each contact, with standard deviations, and one if the misfit is large."""
     lines = []
     for number, one in zip(found.numbers, found.contacts, strict=True):
         parts = (one.distance, CM, 2), (one.depth, MM, 2), (one.force, 1.0, 1)
@@ -190,7 +194,7 @@ def in_words(found: Tracked) -> list[str]:
 
 
 def drawn(found: Tracked, width: int) -> str:
-    """Return the tube as a row of characters, with the contacts on it.
+    """Return the tube as a row of `width` characters, with the contacts on it.
 
     The row ends at the largest distance whose echo arrives within a cycle.
     """

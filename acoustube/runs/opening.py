@@ -27,7 +27,7 @@ PATTERNS = {"press": "cases-*.nc", "cycle": "cycles-*.nc"}
 
 @checked(verify=FLAG)
 def open_dataset(where: str | Path | Iterable[str | Path], *, verify: bool = True) -> xr.Dataset:
-    """Open a sweep or a dataset of cycles, or several, as one.
+    """Open sweeps, or datasets of cycles, as one dataset.
 
     Parameters
     ----------
@@ -42,15 +42,15 @@ def open_dataset(where: str | Path | Iterable[str | Path], *, verify: bool = Tru
     -------
     xarray.Dataset
         A sweep has the dimension ``press``, whose coordinate contains the names of the cases,
-        sorted by tube, tool, sound, position and depth. A dataset of cycles has the dimension
-        ``cycle``, with a coordinate ``press`` that contains the case of each cycle. Values are
-        read when they are used.
+        each case once, sorted by tube, tool, sound, position and depth. A dataset of cycles has the
+        dimension ``cycle``, with a coordinate ``press`` that contains the case of each cycle.
+        Values are read when they are used.
 
     Raises
     ------
     ConfigError
-        If there are no files, a file is damaged or another program's, or sweeps and datasets are
-        mixed.
+        If there are no files, a file is damaged or another program's, sweeps and datasets are
+        mixed, or cycles differ in sampling rate.
 
     Examples
     --------
@@ -93,7 +93,7 @@ def open_dataset(where: str | Path | Iterable[str | Path], *, verify: bool = Tru
 
 
 def _check_file(path: Path, dimension: str, advice: str, *, verify: bool) -> None:
-    """Reject a file that is damaged, or that another program wrote under such a name."""
+    """Raise if a file is damaged, or another program wrote it under such a name."""
     import h5py
 
     if verify:
@@ -112,12 +112,17 @@ def _check_file(path: Path, dimension: str, advice: str, *, verify: bool) -> Non
 
 
 def files_of(where: str | Path | Iterable[str | Path]) -> list[Path]:
-    """Return the files of sweeps and datasets, in a fixed order.
+    """Return the netCDF files of sweeps and datasets, in the order of `where`, then by name.
+
+    Parameters
+    ----------
+    where : str, path or several
+        As of :func:`open_dataset`.
 
     Raises
     ------
     ConfigError
-        If there are none.
+        If there are no such files, or `where` is not a path.
     """
     PATHS.check("where", where)
     given: Sequence[Any] = [where] if isinstance(where, str | Path) else list(where)

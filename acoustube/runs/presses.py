@@ -1,4 +1,4 @@
-"""Press of the tube that the settings describe, computed once and then read from the cache."""
+"""Presses of tubes, each computed once and then read from the cache."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ Progress = Callable[[float], None]
 Note = Callable[[str], None]
 
 KERNELS = compile_contraction, compile_kernels
+"""Functions that compile the code of a press."""
 MESH = ("points", "elements", "inner_faces", "outer_faces")
+"""Arrays of the mesh of an imported wall that are cached with its press."""
 
 
 @checked(config=Instance((Config, Mechanics)), depths=Reals(0, 1, "m", ndim=1))
@@ -62,8 +64,10 @@ def pressed(
 
     Raises
     ------
-    ConfigError, PressError
-        See :func:`acoustube.indentation.indent` and :mod:`acoustube.indentation.tetrahedra`.
+    ConfigError
+        If the press is outside the model's range, or an imported wall cannot be read or meshed.
+    PressError
+        If an increment does not converge; the error holds the increments before.
     """
     return press_to(press_in_si(config), depths, progress, note)
 
@@ -76,9 +80,10 @@ def press_to(
     *,
     then: Iterable[Callable[[], None]] = (),
 ) -> Indentation:
-    """Press a tube to several depths as :func:`pressed`, from settings in SI units.
+    """Press a tube to several depths in m as :func:`pressed`, from settings in SI units.
 
-    The code that the press needs is compiled in the background, followed by that of `then`.
+    The code of the press is compiled in the background, unless the press is cached. Afterwards the
+    functions `then` are called, also in the background, to compile code that is needed later.
     """
     name = cache_key(settings, depths)
     known = cache.recall(name)
@@ -147,7 +152,7 @@ def _tube_and_mesh(
 ) -> tuple[Tube, Mesh | MeshSize]:
     """Return the tube, with the mesh of an imported wall or the mesh size of a round tube.
 
-    The mesh is that of a cached press, if its arrays `known` are given.
+    The mesh of an imported wall is taken from the arrays `known` of a cached press, if given.
     """
     if settings.surface is None:
         return settings.tube, settings.mesh
@@ -182,7 +187,7 @@ def _check_depth(tube: Tube, settings: SIPress) -> None:
 
 
 def _arrays(indentation: Indentation) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a press to be cached: its results, and the mesh of an imported wall."""
+    """Return the arrays of a press to be cached: its results, and its mesh if imported."""
     mesh = indentation.mesh
     found = dict(indentation.results)
     if mesh.sweep is None:

@@ -24,7 +24,7 @@ from acoustube.runs.twin_calibration import is_twin, twin_calibration
 from acoustube.signals import Calibration, Processing, Ranging
 
 CHUNK = 250
-"""Number of cycles that are processed together: 8 MB of double precision per step."""
+"""Number of cycles that are processed together; each step of the processing takes 8 MB."""
 THREADS = 2
 COLUMNS = (
     "cycle", "time_of_flight_ms", "distance_cm", "amplitude", "prominence", "n_peaks", "detected",
@@ -45,14 +45,15 @@ def located(data: xr.Dataset, how: Processing) -> Iterator[tuple[int, Ranging]]:
     data : xarray.Dataset
         From :func:`acoustube.recordings.read`.
     how : Processing
-        Settings, to which :func:`acoustube.signals.without_aliased_template` is applied.
+        Settings; where the carrier is aliased, the matched filter is omitted by
+        :func:`acoustube.signals.without_aliased_template`.
 
     Yields
     ------
     first : int
-        Number of the piece's first cycle.
+        Number of the first cycle of a piece.
     ranging : Ranging
-        Result for the piece.
+        Result for the cycles of the piece.
     """
     cycles, time = data["signal"], data["time"].values
     how = signals.without_aliased_template(how, signals.sampling_rate(time))
@@ -76,21 +77,21 @@ def located(data: xr.Dataset, how: Processing) -> Iterator[tuple[int, Ranging]]:
 def chosen(
     calibration: str | None, prominence: float | None, usual: Processing | None = None
 ) -> tuple[Calibration | None, Processing]:
-    """Return the requested calibration, if any, and the processing with it.
+    """Return the requested calibration, None without one, and the settings of the processing.
 
     Parameters
     ----------
     calibration : str or None
-        File of a calibration, file of a twin, which gives a calibration, or name of a calibration.
+        File or name of a calibration, or file of a twin, from which a calibration is computed.
     prominence : float or None
-        Least prominence of an echo, in place of the calibration's.
+        Least prominence of an echo relative to the send pulse, in place of the calibration's.
     usual : Processing, optional
-        Processing to use without a calibration.
+        Settings to use without a calibration; those of the sleeve paper by default.
 
     Raises
     ------
     ConfigError
-        If the calibration does not exist.
+        If the calibration does not exist or cannot be read.
     """
     known = None
     if calibration is not None:
@@ -102,13 +103,16 @@ def chosen(
 
 @contextlib.contextmanager
 def opened(out: Path | None, others: Mapping[Path, bytes | str]) -> Iterator[TextIO]:
-    """Yield standard output, or the table of a new file; files are written once complete.
+    """Yield the text stream of a table: standard output, or a buffer for a new file.
+
+    Files are written at the end, all or none; nothing is written after an exception.
 
     Parameters
     ----------
     out : Path or None
-    others : mapping of Path to bytes
-        Contents of other files, written at the same time.
+        File of the table; None for standard output.
+    others : mapping of Path to bytes or str
+        Contents of further files, as they are at the end.
     """
     table = io.StringIO()
     yield sys.stdout if out is None else table
@@ -125,9 +129,10 @@ class Processed(NamedTuple):
     n_detected : int
         Number of cycles with an echo.
     loudest : float
-        Highest amplitude of an echo, relative to the send pulse.
+        Highest amplitude of an echo, relative to the send pulse; 0 without an echo.
     first : tuple of int and Ranging, or None
-        First piece with an echo, and the number of its first cycle.
+        Number of the first cycle of the first piece that has an echo, and the result for this
+        piece; None without an echo.
     """
 
     rows: list[list[object]]
@@ -139,27 +144,29 @@ class Processed(NamedTuple):
 def aligned(
     data: xr.Dataset, pulse_at: str | float | None, how: Processing
 ) -> tuple[xr.Dataset, float | None]:
-    """Return a recording whose time is zero at the start of the send pulse, and its lead.
+    """Return a recording with time zero at the start of the send pulse, and the shift applied.
 
     Parameters
     ----------
     data : xarray.Dataset
         From :func:`acoustube.recordings.read`.
     pulse_at : float, "auto" or None
-        Time in ms from the first sample to the start of the send pulse; "auto" estimates one that
-        all cycles share; None leaves the time as it is.
+        Time in ms from the first sample to the start of the send pulse; "auto" estimates it, one
+        for all cycles; None leaves the time as it is.
     how : Processing
 
     Returns
     -------
     data : xarray.Dataset
     lead : float or None
-        Time in s from the first sample to the start of the send pulse.
+        Time in s from the first sample to the start of the send pulse; None if `pulse_at` is.
 
     Raises
     ------
     ValueError
-        If the pulse cannot be found, or lies outside the record.
+        If the pulse cannot be found.
+    ConfigError
+        If the pulse starts after the last sample.
     """
     if pulse_at is None:
         return data, None
@@ -178,7 +185,20 @@ def aligned(
 
 
 def read_cycles(paths: Sequence[Path], **options: Any) -> Iterator[tuple[Path, xr.Dataset]]:
-    """Yield each file of files and folders with its recording; raise if one cannot be read."""
+    """Yield each file in files and folders, with its recording.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files and folders.
+    **options
+        Arguments of :func:`acoustube.recordings.read`.
+
+    Raises
+    ------
+    ConfigError
+        If a file cannot be read.
+    """
     for path, data in recordings.read_all(paths, **options):
         if isinstance(data, ConfigError):
             raise data
@@ -191,7 +211,20 @@ def read_recordings(
     pulse_at: str | float | None,
     how: Processing | None = None,
 ) -> list[tuple[Path, xr.Dataset]]:
-    """Return recordings whose time is zero at the start of the send pulse, with their files."""
+    """Return files with their recordings, whose time is zero at the start of the send pulse.
+
+    Parameters
+    ----------
+    paths, options
+        As of :func:`read_cycles`.
+    pulse_at, how
+        As of :func:`aligned`; the processing of the sleeve paper by default.
+
+    Raises
+    ------
+    ConfigError
+        If a file cannot be read, or its send pulse cannot be found.
+    """
     found = []
     for path, data in read_cycles(paths, **options):
         try:
@@ -214,11 +247,11 @@ def process_recording(
     Parameters
     ----------
     path : Path
-        File of the recording, for the table.
+        File of the recording, for the table and messages.
     data : xarray.Dataset
         From :func:`acoustube.recordings.read`.
     known : Calibration or None
-        Calibration that must have the recording's sampling rate.
+        Calibration that gave `settings`; it must have the sampling rate of the recording.
     settings : Processing
     report : Reporter
         Receives the progress of long recordings.
@@ -252,7 +285,7 @@ def process_recording(
 
 
 def check_rate(rate: float, known: Calibration | None, source: Path) -> None:
-    """Reject a calibration of another sampling rate: its gain and template depend on it."""
+    """Raise ConfigError if a calibration is of another sampling rate in Hz, on which it depends."""
     if known is not None and abs(rate / known.sampling_rate - 1) > 1e-3:
         raise ConfigError(
             f"{source} has {rate:g} samples per second and the calibration "
@@ -261,9 +294,9 @@ def check_rate(rate: float, known: Calibration | None, source: Path) -> None:
 
 
 def table_rows(first: int, ranging: Ranging, source: Path) -> Iterator[list[object]]:
-    """Return a row of :data:`COLUMNS` for each cycle, given the number of the first.
+    """Yield a row of :data:`COLUMNS` for each cycle; `first` is the number of the first cycle.
 
-    `ranging` is that of several cycles or of a single one.
+    `ranging` is the result of several cycles or of a single one.
     """
     flight = MS * (ranging.return_time - ranging.send_time)
     columns = (flight, CM * ranging.distance, ranging.amplitude, ranging.prominence)
@@ -275,7 +308,7 @@ def table_rows(first: int, ranging: Ranging, source: Path) -> Iterator[list[obje
 
 
 def true_rows(data: xr.Dataset) -> Iterator[list[object]]:
-    """Return the labels of :data:`LABEL_COLUMNS` of each cycle; a missing one is empty."""
+    """Yield the labels of :data:`LABEL_COLUMNS` of each cycle; a missing label is empty."""
     columns = [
         scale * data[name].values if name in data else np.full(data.sizes["cycle"], np.nan)
         for name, (_, scale) in LABEL_COLUMNS.items()
@@ -290,7 +323,7 @@ def calibration_path(name: str) -> Path:
     Raises
     ------
     ConfigError
-        If there is none.
+        If there is neither such a file nor such a name.
     """
     path = Path(name)
     if path.exists():
@@ -304,5 +337,5 @@ def calibration_path(name: str) -> Path:
 
 
 def calibration_folder() -> Path:
-    """Return the folder of named calibrations."""
+    """Return the folder of the calibrations that are known by name."""
     return user_data_path("acoustube") / "calibrations"

@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # the solvers of sound, which a press alone does not need
     from acoustube.signals import Ranging
 
 EVEN_POINTS = 401
-"""Evenly spaced points of the profile along the tube, in addition to the mesh's rings."""
+"""Number of evenly spaced points of a profile along the tube, in addition to the mesh's rings."""
 MEASURED_PART = 0.95
 """Fraction of the modelled length within which the deformed tube is measured.
 
@@ -37,7 +37,7 @@ ECHO = {
     "send_time": ("send_time", "s", "maximum of the send pulse"),
     "return_time": ("return_time", "s", "maximum of the highest echo"),
 }
-"""Variables of the highest echo: attribute of :class:`Ranging`, unit and long name."""
+"""Variables of the highest echo, with attribute of :class:`Ranging`, unit and long name."""
 SPECTRAL_ERROR = "estimated error of the scattering coefficients at 95 % of the frequencies"
 
 
@@ -61,15 +61,16 @@ def dataset(
     ----------
     config : Config
     settings : SISettings
-        The same in SI units.
+        The settings `config` in SI units.
     indentation : Indentation
     lumen : Lumen
     recordings, rangings : mapping of str
-        The recorded and the processed signal for each boundary condition at the source end.
+        The recorded signal and the result of its processing, for each boundary condition at the
+        source end.
     budget : Budget or SpectralBudget
         Known errors of the recordings.
     check : SpectralCheck or None
-        The echo by the spectral solver, if it was computed.
+        The echo by the spectral solver; None if it was not computed.
     seconds : mapping of str to float
         Computing time of each stage.
     warnings : sequence of str
@@ -115,7 +116,7 @@ def walls(config: Config, lumen: Lumen) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        ``inner_wall``, ``outer_wall`` and ``true_distance`` of :func:`dataset`.
+        The variables ``inner_wall``, ``outer_wall`` and ``true_distance`` of :func:`dataset`.
     """
     return xr.Dataset(_rings(lumen), attrs={"configuration": configuration(config)})
 
@@ -134,19 +135,20 @@ def press_dataset(
     Parameters
     ----------
     indentation : Indentation
-        It may end before the last depth. At the missing depths ``converged`` is False and values
-        are nan, or zero for integers.
+        Press, which may end before the last depth. At the depths that it lacks ``converged`` is 0,
+        and other values are nan, or zero for integers.
     depths : sequence of float
         Requested depths in m.
     seconds : float
-        Computing time.
+        Computing time in s.
     config, warnings, device
         As of :func:`dataset`.
 
     Returns
     -------
     xarray.Dataset
-        In SI units, of the whole tube; every variable has ``units`` and ``long_name``.
+        In SI units; forces, areas and energies are those of the whole tube, even if the mesh is a
+        part of it. Every variable has ``units`` and ``long_name``.
     """
     reached = indentation.rows_at(depths)
     rows = _mechanics(indentation, reached) | _axial(indentation, reached)
@@ -184,7 +186,7 @@ def _lengthened(value: Variable, missing: int) -> Variable:
 
 
 def _mechanics(indentation: Indentation, rows: Sequence[int]) -> dict[str, Variable]:
-    """Return the variables of a press at some of its increments."""
+    """Return force, lumen, convergence and displacement of a press at some of its increments."""
     wall = inner_wall(indentation.mesh)
     place = np.array([indentation.indenters[0].z])
     sections = [measure(indentation, i, place, wall) for i in rows]
@@ -225,7 +227,7 @@ def _mechanics(indentation: Indentation, rows: Sequence[int]) -> dict[str, Varia
 
 
 def _axial(indentation: Indentation, rows: Sequence[int]) -> dict[str, Variable]:
-    """Return the lumen along the modelled part of the tube, the press at zero."""
+    """Return the profiles of the lumen over z, which is zero at the press, at some increments."""
     reach = MEASURED_PART * indentation.mesh.points[:, 2].max()
     ahead = np.linspace(0, reach, EVEN_POINTS // 2 + 1)
     z = np.concatenate([-ahead[:0:-1], ahead])
@@ -261,7 +263,7 @@ def _mesh(mesh: Mesh) -> dict[str, Variable]:
 
 
 def _shape(indentation: Indentation, lumen: Lumen) -> dict[str, Variable]:
-    """Return the walls of the whole tube, and the lumen's profile."""
+    """Return the walls of the whole tube, and the profile of its lumen."""
     length = indentation.tube.length
     # The rings are dense where the lumen is pressed, and one of them lies under the rod.
     stations = np.clip(lumen.rings[:, 0, 2], 0, length)
@@ -349,7 +351,7 @@ def _error_budget(budget: Budget | SpectralBudget) -> dict[str, Variable]:
 
 
 def _ranged(rangings: Mapping[SourceEnd, Ranging], source_end: SourceEnd) -> dict[str, Variable]:
-    """Return envelope and estimate for each boundary condition at the source end."""
+    """Return envelope, highest echo and all peaks for each boundary condition at the source end."""
     results = list(rangings.values())
     found = {
         name: variable("source_end", [getattr(one, own) for one in results], units, text)

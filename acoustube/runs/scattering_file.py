@@ -23,18 +23,21 @@ from acoustube.waves.spectral import SpectralScattering
 StoredScattering = Scattering | SpectralScattering
 """Scattering matrices that runs compute and store."""
 SOLVERS = "time domain", "spectral"
-"""Values of the attribute ``solver``; files without it, of earlier versions, are of the first."""
+"""Values of the attribute ``solver``; a file without this attribute is of the time domain."""
 SIZES = "tolerance", "degree", "n_elements", "n_shifts", "n_fields"
-"""Attributes of a matrix of the spectral solver: its tolerance and discretisation."""
+"""Attributes of a matrix from the spectral solver: tolerance and discretisation."""
 
 
 def to_dataset(found: StoredScattering) -> xr.Dataset:
-    """Return a scattering matrix with its coordinates and its origin as a dataset.
+    """Return a scattering matrix as a dataset, the inverse of :func:`from_dataset`.
 
     Returns
     -------
     xarray.Dataset
-        See :func:`from_dataset`.
+        The complex matrix is ``s_real`` and ``s_imag`` (frequency, port_out, mode_out, port_in,
+        mode_in). ``propagates`` (frequency, mode_in) and ``cut_on`` in Hz (mode_in) describe the
+        modes. The accuracy is ``error`` (frequency) of the spectral solver, or ``settled`` in the
+        time domain, of the shape of the matrix. Version, solver and grid are attributes.
     """
     dims = "frequency port_out mode_out port_in mode_in"
     s = found.s
@@ -80,12 +83,12 @@ def to_dataset(found: StoredScattering) -> xr.Dataset:
 
 
 def keep(name: str, found: StoredScattering, label: str) -> None:
-    """Write a scattering matrix to the cache.
+    """Write a scattering matrix to the cache; nothing happens where that is impossible.
 
     Parameters
     ----------
     name : str
-        From :func:`acoustube.base.cache.key`.
+        Key from :func:`acoustube.base.cache.key`.
     found : Scattering or SpectralScattering
     label : str
         Description for the list of the cache.
@@ -95,7 +98,7 @@ def keep(name: str, found: StoredScattering, label: str) -> None:
 
 
 def recall(name: str) -> StoredScattering | None:
-    """Return a scattering matrix from the cache; None if there is none of that name."""
+    """Return the scattering matrix of a key from the cache; None if it is not there."""
     known = cache.recall(name)
     if known is None:
         return None
@@ -126,7 +129,7 @@ def read(path: str | Path) -> StoredScattering:
 
 
 def from_dataset(data: xr.Dataset) -> StoredScattering:
-    """Return the scattering matrix in a dataset of :func:`to_dataset`.
+    """Return the scattering matrix in a dataset from :func:`to_dataset`.
 
     Raises
     ------

@@ -31,12 +31,19 @@ from acoustube.waves import (
 )
 
 RADIUS = 3.95e-3
+"""Radius of the bore in m."""
 AIR = Air(sound_speed=343.2, density=1.204)
 COARSE = MeshSize(through_wall=1, around=8, along=6)
+"""Mesh of the test press."""
 FORCE = 0.113604
-"""Contact force in N of a press of 0.2 mm on that mesh; computed by acoustube 0.1.0 on Linux."""
+"""Contact force in N of a rod of 25 mm that presses the default tube 0.2 mm deep, on `COARSE`.
+
+Computed by acoustube 0.1.0 on Linux.
+"""
 FREQUENCY, REFLECTED = 12e3, 0.64041
-"""Frequency in Hz, and amplitude reflected there by a bore narrowed by 40 % over 16 mm.
+"""Frequency in Hz, and modulus of the reflection coefficient of a bore narrowed by up to 40 %.
+
+The narrowed part is 16 mm long.
 
 Computed by a spectral method that is independent of the grid: case E of
 ``tests/data/scattering.csv``.
@@ -73,7 +80,18 @@ class Outcome(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """A test: its name, a function that returns a number, and the expected value."""
+    """A test: a function that returns a number, and the value that is expected of it.
+
+    Attributes
+    ----------
+    name : str
+    compute : callable
+        Returns the computed value, in `unit`.
+    expected, tolerance : float
+        Expected value and largest absolute deviation from it, in `unit`.
+    unit : str
+        "1" for a pure number.
+    """
 
     name: str
     compute: Callable[[], float]
@@ -82,7 +100,7 @@ class Trial(NamedTuple):
     unit: str
 
     def run(self) -> Outcome:
-        """Run the test; if it raises, it has failed, and the outcome contains the message."""
+        """Run the test; an exception that it raises becomes the `problem` of the outcome."""
         started, computed, problem = time.perf_counter(), np.nan, ""
         try:
             computed = float(self.compute())
@@ -118,13 +136,13 @@ def _echo() -> float:
 
 
 def _cut_on() -> float:
-    """Return the cut-on of mode (1,1) in kHz on a grid of 16 cells across."""
+    """Return the cut-on frequency of mode (1,1) in kHz on a grid of 16 cells across the bore."""
     cells = _bore(np.zeros(2), np.array([0.0, 1.5 * 2 * RADIUS / 16]), 16)
     return KHZ * float(section_cut_ons(cells, 1, AIR.sound_speed)[1])
 
 
 def _scattered() -> NDArray[np.complex128]:
-    """Return reflection and transmission of a plane wave on a grid of 8 cells across."""
+    """Return reflection and transmission coefficient of the narrowed bore at `FREQUENCY`, (2,)."""
     z = np.linspace(0.0, 0.04, 81)
     near = np.abs(z - 0.02) < 8e-3
     cells = _bore(np.where(near, 0.2 + 0.2 * np.cos(np.pi * (z - 0.02) / 8e-3), 0.0), z, 8)
@@ -134,7 +152,7 @@ def _scattered() -> NDArray[np.complex128]:
 
 
 def _bore(narrowing: Array, z: Array, resolution: int) -> CutCells:
-    """Return a round bore narrowed by a fraction of its radius at each z, on its grid."""
+    """Return the cut cells of a round bore narrowed by a fraction of its radius at each z, (n,)."""
     import trimesh
 
     angle = 2 * np.pi * np.arange(192) / 192

@@ -18,17 +18,21 @@ from acoustube.ranging import Rangefinder
 KIND = "twin"
 """Name of the table that only files of twins have."""
 MODULUS = "young_modulus_mpa"
+"""Name of the entry with Young's modulus of the wall in a twin's file."""
 OF_OTHERS = ("length_cm", "priors", "wrap")
 """Entries of a sensor's file in addition to the parameters of the rangefinder."""
 
 
 def sensor_document(document: Mapping[str, Any], path: Path) -> dict[str, Any]:
-    """Return the content of a sensor's file; of a twin's file, the part that other commands use.
+    """Return the entries of a sensor's file that other commands use.
+
+    These are the parameters of the rangefinder and the entries :data:`OF_OTHERS`. The further
+    entries of a twin's file are left out.
 
     Raises
     ------
     ConfigError
-        If it is a twin's file without its rangefinder.
+        If the file is that of a twin, but has no rangefinder.
     """
     if KIND not in document:
         return dict(document)
@@ -39,12 +43,14 @@ def sensor_document(document: Mapping[str, Any], path: Path) -> dict[str, Any]:
 
 
 def young_modulus(document: Mapping[str, Any], path: Path) -> tuple[float, float] | None:
-    """Return Young's modulus of the wall and its standard deviation in Pa; None if undetermined.
+    """Return Young's modulus of the wall and its standard deviation in Pa.
+
+    None is returned if the file is not that of a twin, or its recordings do not determine it.
 
     Raises
     ------
     ConfigError
-        If they are not positive numbers.
+        If the modulus or its deviation is not a positive number.
     """
     if KIND not in document or MODULUS not in determined(document):
         return None
@@ -54,7 +60,7 @@ def young_modulus(document: Mapping[str, Any], path: Path) -> tuple[float, float
 
 
 def determined(document: Mapping[str, Any]) -> list[Any]:
-    """Return the names of the parameters that the recordings of a twin determine."""
+    """Return the names of the parameters that a twin's file states as determined by recordings."""
     found = document.get("determined")
     return found if isinstance(found, list) else []
 
@@ -67,7 +73,7 @@ def finite_numbers(
     Raises
     ------
     ConfigError
-        If one is not a finite number, or out of range.
+        If a value is not a finite number, or out of range.
     """
     found = list(values)
     for one in found:
@@ -92,10 +98,16 @@ def twin_settings(path: Path) -> dict[str, Any]:
     path : Path
         File of a sensor; the result is empty unless it is the file of a twin.
 
+    Returns
+    -------
+    dict
+        ``offset_deviation`` in K and ``reflectors``.
+
     Raises
     ------
     ConfigError
-        If its clutter or the standard deviation of its temperature is not numeric.
+        If the file cannot be read, or the clutter or the standard deviation of the temperature is
+        not numeric.
     """
     document = read_document(path)
     if KIND not in document:

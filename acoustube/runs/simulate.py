@@ -54,21 +54,22 @@ def simulate(
     report : callable, optional
         Called with the name of a stage and the fraction of it that is done.
     pressed : callable, optional
-        Called with the walls of the pressed tube, before the sound is computed: a dataset of
-        ``inner_wall``, ``outer_wall`` and ``true_distance``.
+        Called before the sound is computed, with a dataset of ``inner_wall``, ``outer_wall`` and
+        ``true_distance`` of the pressed tube.
 
     Returns
     -------
     xarray.Dataset
         Every stage's arrays, in SI units, with both boundary conditions of the source end along the
-        dimension ``source_end``. ``distance`` and ``amplitude`` are those of the selected one.
+        dimension ``source_end``. ``distance`` and ``amplitude`` are those of the condition that the
+        settings select.
 
     Raises
     ------
     SimulationError
         If a stage cannot finish.
     ConfigError
-        If the tube is not pressed.
+        If the depth in the settings is zero.
 
     Notes
     -----
@@ -156,7 +157,7 @@ def warnings_for(settings: SISettings) -> list[str]:
 
 
 def _narrow(settings: SISettings, indentation: Indentation) -> list[str]:
-    """Return a warning where the lumen is so narrow that its boundary layers fill it."""
+    """Return a warning if the lumen is so narrow that boundary layers fill it; empty otherwise."""
     height = measure(indentation, -1, np.array([indentation.indenters[0].z])).height[0]
     layers = height / viscous_thickness(settings.air, settings.pulse.frequency)
     warning = (
@@ -170,7 +171,7 @@ def _narrow(settings: SISettings, indentation: Indentation) -> list[str]:
 def stage(
     name: str, seconds: dict[str, float], report: Report
 ) -> Iterator[Callable[[float], None]]:
-    """Report and time a stage; a ValueError is raised again as SimulationError of that stage."""
+    """Report a stage and add its time in s to `seconds`; make a ValueError a SimulationError."""
     start = time.perf_counter()
     report(name, 0.0)
     try:

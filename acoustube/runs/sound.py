@@ -39,7 +39,7 @@ SOURCE_ENDS: tuple[SourceEnd, ...] = ("release", "absorbing")
 """Boundary conditions of the source end; both are computed, as a real end lies between them."""
 
 BAND_EDGE = -20.0
-"""Level in dB relative to the pulse's spectral peak above which a cut-on causes a warning."""
+"""Level in dB relative to the pulse's spectral peak above which a mode's cut-on is warned of."""
 
 BAND_LEVEL = -70.0
 """Level in dB relative to the pulse's spectral peak at which the computed band ends."""
@@ -50,7 +50,7 @@ FREQUENCY_STEP = 100.0
 LOSSLESS_REFINEMENT = 4
 """Factor by which the frequency step of the spectral solver is divided without losses."""
 LARGEST_SPECTRAL_ERROR = 0.02
-"""Largest accepted quantile over frequency of the spectral solver's error estimate."""
+"""Largest accepted error estimate of the spectral solver, at a quantile of the frequencies."""
 TIME_STEP = 1e-6
 """Time step in s of recordings computed from scattering matrices and straight tube."""
 
@@ -157,7 +157,8 @@ def scattering_of(
     band : tuple of float
         Lowest and highest frequency in Hz.
     method : {"scattering", "spectral"}
-        Time-domain or spectral solver; the former also computes lumens unsuitable for the latter.
+        Time-domain or spectral solver. The time-domain solver also computes lumens for which the
+        spectral solver is requested but unsuitable.
     bore : float
         Inner diameter in m.
     resolution : int
@@ -170,7 +171,7 @@ def scattering_of(
     Returns
     -------
     scattering : Scattering or SpectralScattering
-        In steps of `FREQUENCY_STEP`, or of a fraction of it by the spectral solver without losses.
+        In steps of `FREQUENCY_STEP`, which the spectral solver divides without losses.
     cells : CutCells or None
         The lumen on the grid of the time-domain solver; None for the spectral one.
     note : str
@@ -221,7 +222,8 @@ def spectral_scattering_of(
     part, air, band, lossy
         As of :func:`scattering_of`.
     share : float
-        Fraction of the frequencies at which the estimated error must be small.
+        Fraction of the frequencies at which the estimated error must be at most
+        `LARGEST_SPECTRAL_ERROR`.
 
     Raises
     ------
@@ -248,7 +250,7 @@ def spectral_scattering_of(
 
 
 def _frequencies(band: tuple[float, float], step: float) -> NDArray[np.float64]:
-    """Return equally spaced frequencies in Hz over a band."""
+    """Return equally spaced frequencies in Hz from the lowest of a band to the highest or above."""
     lowest, highest = band
     return np.asarray(lowest + step * np.arange(int(np.ceil((highest - lowest) / step)) + 1))
 
@@ -261,7 +263,7 @@ class SpectralCheck(NamedTuple):
     distance : tuple of float
         Distance of the highest echo in m; nan without one.
     amplitude : tuple of float
-        Its height, relative to the send pulse.
+        Amplitude of the highest echo, relative to the send pulse; nan without one.
     error : float
         Estimated error of the scattering coefficients at 95 % of the frequencies.
     note : str
@@ -275,7 +277,13 @@ class SpectralCheck(NamedTuple):
 
 
 def spectral_check(settings: SISettings, part: Lumen) -> SpectralCheck:
-    """Return the echo of a pressed part from the spectral solver."""
+    """Return the echo of a pressed part from the spectral solver.
+
+    Raises
+    ------
+    ConfigError
+        As :func:`spectral_scattering_of`.
+    """
     band = band_of(settings.pulse)
     matrix = spectral_scattering_of(part, settings.air, band, lossy=settings.lossy)
     recordings = joined_recordings(settings, [PlacedScatterer(matrix, settings.position)])
@@ -297,13 +305,13 @@ def joined_recordings(
     ----------
     settings : SISettings
     presses : sequence of PlacedScatterer
-        Presses in place of the settings' press; none for an untouched tube.
+        Presses in place of that of the settings; none for an untouched tube.
 
     Returns
     -------
     dict of Recording
-        For each boundary condition at the source end, with spacing and shape of the first
-        press's grid.
+        For each boundary condition at the source end. Spacing and shape are those of the first
+        grid of a press; nan and 0 if no press has a grid.
     """
     air, probe = settings.air, settings.probe
     recordings: dict[SourceEnd, Recording] = {}

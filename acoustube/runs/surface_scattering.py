@@ -1,4 +1,4 @@
-"""Scattering of a lumen from a file by the spectral solver, and its grid for the time domain."""
+"""Lumens from surface files: scattering by the spectral solver, and grids for the time domain."""
 
 from __future__ import annotations
 
@@ -35,26 +35,30 @@ def spectral_of_surface(
     tolerance: float,
     lossy: bool,
 ) -> SpectralScattering:
-    """Return the scattering matrix of a closed surface, both reference planes at its z = 0.
+    """Return the scattering matrix of a lumen, given as a closed surface, by the spectral solver.
+
+    Both reference planes are at z = 0 of the surface's file.
 
     Parameters
     ----------
     surface : trimesh.Trimesh
-        In m, moved along z to begin at zero, from :func:`acoustube.base.surfaces.read_lumen`.
+        From :func:`acoustube.base.surfaces.read_lumen`: in m, moved along z to begin at z = 0.
     start : float
-        Position z in m at which it began in its file.
+        Position z in m at which the surface begins in its file.
     air : Air
     frequency : ndarray
-        Frequencies in Hz, (n,).
+        Rising frequencies in Hz, (n,).
     tolerance : float
-        Largest error of a scattering coefficient.
+        Largest error of a scattering coefficient that the solver aims at.
     lossy : bool
         Whether there are losses at the wall and in the air.
 
     Raises
     ------
     ConfigError
-        If the lumen is unsuitable for the spectral solver, or its error estimate is too large.
+        If the lumen is unsuitable for the spectral solver, or if at over 5 % of the frequencies the
+        estimated error exceeds both the tolerance and
+        :data:`acoustube.runs.sound.LARGEST_SPECTRAL_ERROR`.
     """
     rings = rings_of_surface(surface, position=-start)
     try:
@@ -74,16 +78,16 @@ def spectral_of_surface(
 def cells_of_surface(
     surface: trimesh.Trimesh, path: Path, resolution: int, highest: float, air: Air
 ) -> CutCells:
-    """Return a closed surface on the grid of the time-domain solver.
+    """Return the cut cells of a lumen, given as a closed surface, for the time-domain solver.
 
     Parameters
     ----------
     surface : trimesh.Trimesh
         Closed surface in m that begins at z = 0.
     path : Path
-        Its file, for messages.
+        File of the surface, for messages.
     resolution : int
-        Grid cells across the ends.
+        Grid cells across the ends, over the larger of their width and height.
     highest : float
         Highest frequency in Hz.
     air : Air
@@ -95,7 +99,7 @@ def cells_of_surface(
     """
     across = float(_end_size(surface) / resolution)
     _check_grid(highest, across, air, path)
-    # A whole number of layers, so that the grid of a lumen that is symmetric along z is so too.
+    # A whole number of layers, so that a lumen symmetric along z has a symmetric grid.
     length = float(np.ptp(surface.bounds[:, 2]))
     spacing = across, across, length / np.ceil(length / across - 1e-6)
     _check_cells(float(np.prod(np.ptp(surface.bounds, axis=0) / spacing)), path)
@@ -133,7 +137,10 @@ def _check_cells(cells: float, path: Path) -> None:
 
 
 def openings(cells: CutCells) -> Array:
-    """Return the smaller of the largest height and the largest width of each layer, in m, (nz,)."""
+    """Return the narrower dimension of each layer of a lumen in m, (nz,).
+
+    That is the smaller of the largest height and the largest width of the layer.
+    """
     high, wide = (cells.volume_fraction.sum(axis=axis).max(axis=0) for axis in (1, 0))
     return np.asarray(np.minimum(high * cells.spacing[1], wide * cells.spacing[0]))
 

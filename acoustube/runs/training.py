@@ -17,10 +17,10 @@ from acoustube.estimation.model import TARGETS
 from acoustube.runs.recordings import read_cycles
 
 DISPLAY_UNITS = {"true_distance": ("cm", 100.0), "depth": ("mm", 1e3), "force": ("N", 1.0)}
-"""Units of the tables, with the factors from SI."""
+"""Units of the labels in tables, with the factors from SI."""
 BINS = {"depth": 0.5e-3, "true_distance": 0.05}
-"""Widths in m of the bins of the table: the sleeve paper's steps of depth, and of its error map."""
-# Target, label by which cycles are binned, the bin's limits in SI, number of cycles, errors.
+"""Bin widths in m by label: the steps of the sleeve paper's depths, and those of its error map."""
+# Target, quantity by which cycles are binned, limits of the bin in SI, number of cycles, errors.
 Row = tuple[str, str, float, float, int, estimation.Errors]
 
 
@@ -35,9 +35,10 @@ def table_of(
     Parameters
     ----------
     paths : sequence of Path
+        Files and folders.
     feature_settings : FeatureSettings
     report : callable
-        Called with a stage and the fraction of it that is done.
+        Called with the name of the stage and the finished fraction of a file.
     check : callable, optional
         Called with each file and its sampling rate in Hz.
 
@@ -49,7 +50,7 @@ def table_of(
     Raises
     ------
     ConfigError
-        If a file cannot be read, or their sampling rates differ.
+        If a file cannot be read or processed, or the files differ in sampling rate.
     """
     parts: list[xr.Dataset] = []
     for path, data in read_cycles(paths):
@@ -105,8 +106,9 @@ def error_rows(targets: Sequence[str], table: xr.Dataset, estimates: xr.Dataset)
     Yields
     ------
     tuple
-        The target; the label by which cycles are binned, and the bin's limits; the number of
-        cycles; and their errors, in SI units.
+        The target; the quantity by which cycles are binned, ``depth`` or ``distance``, and the
+        lower and upper limit of the bin; the number of cycles with the target's label; and their
+        errors. Units are SI. The row of all cycles has the quantity ``all`` and limits nan.
     """
     for target in targets:
         if target not in table or not np.isfinite(table[target]).any():

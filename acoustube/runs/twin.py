@@ -35,8 +35,8 @@ VOLTS = 1.8
 MOST_CLOSURES = 200
 """Largest number of closures that are used; of more, evenly spaced ones are chosen."""
 MOST_CLUTTER = 5e-3
-"""Largest power per length, in 1/m, that an untouched tube reflects: -23 dB re 1/m; ordinary tubes
-reflect -48 dB."""
+"""Largest accepted power per length in 1/m that an untouched tube reflects: -23 dB re 1/m. Ordinary
+tubes reflect -48 dB re 1/m."""
 SAME_PLACE = 1e-4
 """Largest difference in m between labels of the same position."""
 
@@ -69,10 +69,11 @@ class PressedState:
     source : str
         File of the recording.
     place : float
-        Distance in m, as stated or else as estimated from the echo; nan if neither.
+        Distance of the press in m as stated, else as estimated from its echo; nan without both.
     press : Press
+        Tool, depth from the echo, and stated depth and force.
     reason : str
-        Reason why its echo gives no depth; empty if it gives one.
+        Reason why the echo gives no depth; empty if it gives one.
     """
 
     source: str
@@ -88,9 +89,13 @@ class FittedSensor:
     Attributes
     ----------
     twin : Twin
+        Parameters fitted to the echoes of closures.
     rest : Background
+        Ring-down, far end, clutter and noise.
     closed : list of Group
+        Cycles of each closure.
     untouched : Group
+        Cycles of the untouched tube.
     bits : int
         Resolution of the converter.
     quantised : bool
@@ -98,7 +103,8 @@ class FittedSensor:
     full_scale : float
         Voltage of ``2**bits`` counts.
     temperature_noise : float
-        Standard deviation of the reported temperature within a recording in K, the median of all.
+        Standard deviation in K of the reported temperature within a recording, the median over all
+        recordings.
     length : float or None
         Stated length of the tube in m.
     material : Material or None
@@ -150,7 +156,7 @@ def fitted_sensor(
     Parameters
     ----------
     closed, untouched : sequence of Path
-        Files and folders.
+        Files and folders with recordings.
     options : mapping
         Options of :func:`acoustube.recordings.read`.
     pulse_at : float, "auto" or None
@@ -234,7 +240,7 @@ def _alike(parts: Sequence[tuple[Path, xr.Dataset]]) -> tuple[float, float]:
 
 
 def _groups(path: Path, data: xr.Dataset) -> list[Group]:
-    """Return the cycles of each closure of a recording."""
+    """Return the cycles of each closure of a recording, by its label true_distance."""
     if "true_distance" not in data:
         raise ConfigError(
             f"the closed cycles of {path} have no label true_distance; give it in the file or in a "
@@ -261,7 +267,7 @@ def _groups(path: Path, data: xr.Dataset) -> list[Group]:
 def _converter(
     parts: Sequence[tuple[Path, xr.Dataset]], bits: int | None
 ) -> tuple[int, bool, float]:
-    """Return resolution, whether the samples are counts, and the voltage of full scale."""
+    """Return resolution in bits, whether samples are counts, and full scale in V."""
     low = min(float(data["signal"].min()) for _, data in parts)
     high = max(float(data["signal"].max()) for _, data in parts)
     whole = all(np.issubdtype(data["signal"].dtype, np.integer) for _, data in parts)

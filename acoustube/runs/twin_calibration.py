@@ -1,4 +1,4 @@
-"""Calibration of a sensor from its twin, with which recordings of closures are simulated."""
+"""Calibration of a sensor from recordings of closures that are simulated with its twin."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from acoustube.runs.sweep.dataset import rangefinder_in
 from acoustube.signals import Calibration, Processing
 
 FIRST, APART = 0.2, 0.05
-"""Distance of the nearest closure and spacing of the closures in m, as in the sleeve paper."""
+"""Distance of the nearest simulated closure, and spacing of closures, in m (sleeve paper)."""
 BEFORE_END = 0.05
 """Distance in m of the farthest closure from the tube's end."""
 FEWEST = 8
@@ -32,15 +32,19 @@ FEWEST = 8
 LEAST_SPEED = 330.0
 """Lower bound of the speed of sound in m/s, at which the farthest closure is within the cycle."""
 CYCLES, UNTOUCHED = 3, 100
+"""Number of simulated cycles of each closure, and of the untouched tube."""
 AIR = 20.0
-"""Air temperature in degC of the recordings; only losses depend on it, some per cent per 10 K."""
+"""Air temperature in degC of the simulated recordings.
+
+A calibration depends on it only by the losses, which change by some per cent per 10 K.
+"""
 SIGMAS, FALSE_ALARMS = (2.8, 5.0, 8.0, 12.0, 20.0), 0.01
-"""Prominences that are tried, in standard deviations of untouched cycles, and the largest accepted
-fraction of untouched cycles with a false echo. The first prominence that meets it is used."""
+"""Least prominences to try, in standard deviations of untouched cycles, and largest accepted
+fraction of untouched cycles with a false echo. The first prominence with so few is used."""
 LOW_PASS = 10e3
-"""Highest cut-off in Hz of the envelope's low-pass; at low carriers it is half the carrier."""
+"""Highest cut-off in Hz of the envelope's low-pass; half the carrier is used if it is lower."""
 OUTSIDE = 0.9
-"""Upper end of the closures' band, as a fraction of half the sampling rate."""
+"""Highest frequency of the simulated closures, as a fraction of half the sampling rate."""
 
 
 def is_twin(path: Path) -> bool:
@@ -57,7 +61,8 @@ def twin_calibration(path: Path) -> Calibration:
     Raises
     ------
     ConfigError
-        If the file is damaged, or the sensor's echoes do not suffice for a calibration.
+        If the file is damaged, the tube is too short for the closures, or the sensor's echoes do
+        not suffice for a calibration.
 
     Notes
     -----
@@ -81,7 +86,7 @@ def twin_calibration(path: Path) -> Calibration:
 
 
 def _calibrated(own: Rangefinder, trigger: float, common: Mapping[str, Any]) -> Calibration:
-    """Return the calibration of a rangefinder on a tube, whose drive starts at `trigger` in s."""
+    """Return the calibration of a rangefinder whose drive starts `trigger` s after time zero."""
     band = np.array([100.0, OUTSIDE * own.sampling_rate / 2])
     reach = LEAST_SPEED * own.n_samples / own.sampling_rate / 2
     places = np.arange(FIRST, min(common["length"] - BEFORE_END, reach), APART)
@@ -94,7 +99,7 @@ def _calibrated(own: Rangefinder, trigger: float, common: Mapping[str, Any]) -> 
         for i, z in enumerate(places)
     ]
     free = record([], own, n_cycles=UNTOUCHED, seed=len(places), session_seed=0, **common)
-    # Relative to time zero of the twin's recordings, which may begin before it.
+    # Times from time zero of the twin's recordings, which may begin earlier.
     time = free["time"].values - own.lead + trigger
     cycles = np.concatenate([one["signal"].values for one in shut])
     for sigmas in SIGMAS:
@@ -111,21 +116,30 @@ def _calibrated(own: Rangefinder, trigger: float, common: Mapping[str, Any]) -> 
 
 
 def thermometer(path: Path) -> float:
-    """Return the error in K of a sensor's thermometer, reading minus air; 0 if not in its file."""
+    """Return the error in K of a sensor's thermometer, reading minus air; 0 if not in its file.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, or is not that of a sensor.
+    """
     document = sensor_document(read_document(path), path)
     rangefinder = rangefinder_in(document, path)
     return rangefinder.temperature_bias if "temperature_bias" in document else 0.0
 
 
 def corrections(sensor: Path | None, calibration: str | None) -> tuple[str | None, float]:
-    """Return the calibration to use, and the error in K of the thermometer: reading minus air.
+    """Return the file or name of the calibration to use, and the thermometer's error in K.
+
+    The error is reading minus air, 0 without a sensor. The calibration is None if neither argument
+    gives one.
 
     Parameters
     ----------
     sensor : Path or None
         File of a sensor; the file of a twin also gives a calibration.
     calibration : str or None
-        Takes precedence over that of the twin.
+        File or name of a calibration, which takes precedence over that of the twin.
     """
     if sensor is None:
         return calibration, 0.0
@@ -134,17 +148,18 @@ def corrections(sensor: Path | None, calibration: str | None) -> tuple[str | Non
 
 
 def processing_of(sensor: Path | None) -> Processing:
-    """Return the processing of the cycles of a sensor's file: its carrier, and a chirp's band.
+    """Return the settings to process a sensor's cycles with, for its carrier and a chirp's band.
 
     Parameters
     ----------
     sensor : Path or None
-        Without a file, or with that of a twin, the processing is that of the sleeve paper.
+        File of a sensor. The settings are those of the sleeve paper with None, and for a twin.
 
     Raises
     ------
     ConfigError
-        If the drive has several tones, whose compressed pulse has no single maximum.
+        If the file cannot be read, or the drive has several tones, whose compressed pulse has no
+        single maximum.
     """
     document = {} if sensor is None else read_document(sensor)
     if sensor is None or KIND in document:

@@ -26,7 +26,7 @@ MOST_REFLECTED = 0.98
 """Largest magnitude of the reflection coefficient of a rangefinder's face; the posterior's mean may
 be larger where repetitions of echoes hardly determine it."""
 DETERMINED = 0.5
-"""Ratio of standard deviation to that of the prior below which a parameter is determined."""
+"""Ratio of posterior to prior standard deviation below which a parameter is determined."""
 
 
 class Parameter(NamedTuple):
@@ -36,7 +36,7 @@ class Parameter(NamedTuple):
     ----------
     name : str
     value, deviation : float
-        The deviation may be infinite.
+        Value and its standard deviation, which may be infinite.
     prior : float or None
         Standard deviation of the prior; None where it is flat.
     meaning : str
@@ -50,7 +50,7 @@ class Parameter(NamedTuple):
 
     @property
     def determined(self) -> bool:
-        """True if the standard deviation is below :data:`DETERMINED` times that of the prior."""
+        """True if the deviation is finite and below :data:`DETERMINED` times that of the prior."""
         if not isfinite(self.deviation):
             return False
         return self.prior is None or self.deviation < DETERMINED * self.prior
@@ -148,7 +148,7 @@ def _material_parameters(found: FittedSensor) -> Iterator[Parameter]:
 
 
 def rangefinder_of(found: FittedSensor) -> Rangefinder:
-    """Return the rangefinder with the parameters of a twin."""
+    """Return the simulated rangefinder with the parameters of a twin."""
     twin, rest, volt = found.twin, found.rest, 1 / found.per_volt
     band = twin.band
     face = complex(twin.value("face_real"), twin.value("face_imag"))
@@ -205,7 +205,7 @@ def in_toml(found: FittedSensor) -> str:
 
 
 def tube_length(found: FittedSensor) -> float:
-    """Return the tube length in m: stated, from the far end's echo, or 5 cm beyond the closures."""
+    """Return the tube's length in m: stated, else from its end's echo, else 5 cm past closures."""
     if found.length is not None:
         return found.length
     if found.rest.length is not None:
@@ -236,7 +236,7 @@ def _origin(found: FittedSensor) -> Any:
 
 
 def deviations_of(found: FittedSensor) -> dict[str, float]:
-    """Return deviations of :class:`acoustube.inversion.Priors`, at least the observed scatter."""
+    """Return values for :class:`acoustube.inversion.Priors` by name, at least observed scatter."""
     twin = found.twin
     return {
         "temperature": max(twin.deviation("temperature_offset"), 0.1),
@@ -268,7 +268,7 @@ def _closures(found: FittedSensor) -> Any:
 
 
 def _presses(found: FittedSensor, material: Material) -> Any:
-    """Return the presses with the depths estimated from their echoes, and the forces at these."""
+    """Return the presses with depths from their echoes, and the forces expected at these depths."""
     rows = tomlkit.aot()
     for i, state in enumerate(found.pressed):
         row, press = tomlkit.table(), state.press
@@ -288,7 +288,7 @@ def _presses(found: FittedSensor, material: Material) -> Any:
 
 
 def _clutter(found: FittedSensor) -> Any:
-    """Return the measured reflection of the tube's irregularities."""
+    """Return positions and reflection coefficients of the measured clutter."""
     places = MM * found.rest.places
     spacing = float(places[1] - places[0]) if len(places) > 1 else 1.0
     reflection = toml_array(float(f"{value:.3g}") for value in found.rest.reflectivity)
@@ -302,7 +302,7 @@ def _clutter(found: FittedSensor) -> Any:
 
 
 def _correlation(found: FittedSensor) -> Any:
-    """Return the correlation coefficients of the posterior, row by row."""
+    """Return the correlation coefficients of the shared parameters' posterior, row by row."""
     covariance = found.twin.posterior.covariance
     root = np.sqrt(np.diag(covariance))
     names = [name.removeprefix("log_") for name in SHARED]

@@ -23,16 +23,17 @@ from acoustube.runs.twin import FittedSensor, PressedState, read_recordings
 from acoustube.runs.twin_file import deviations_of, rangefinder_of, tube_length
 
 MEASURED = ("depth", "force")
-"""Labels of a press, at least one of which is required."""
+"""Labels of recorded presses, at least one of which is required: depth in m, force in N."""
 LABELS = ("true_distance", "diameter", *MEASURED)
+"""Labels of recorded presses that are used, in m and N."""
 MOST_CYCLES = 50
 """Largest number of cycles of a press that are inverted together."""
 NEAR = 0.05
-"""Largest distance in m between a contact and the label to which it is assigned."""
+"""Largest distance in m between a contact and the labelled position of the same press."""
 SAME_TOOL = 0.1e-3
 """Largest difference in m between diameters of the same tool."""
 WRONG_BORE, OTHER_BORE = 0.03, 0.005
-"""Relative differences of the bores of twin and library that cause an error, and a note."""
+"""Least relative differences of the bores of twin and library for an error, and for a note."""
 
 
 def fitted_material(
@@ -46,22 +47,22 @@ def fitted_material(
     report: Reporter,
     check: Callable[[], None],
 ) -> tuple[Material, tuple[PressedState, ...]]:
-    """Return wall and ground of a twin's tube, and the presses that determine them.
+    """Estimate wall and ground of a twin's tube from presses; return both and the presses.
 
     Parameters
     ----------
     found : FittedSensor
     pressed : sequence of Path
-        Files and folders.
+        Files and folders with recordings of presses, each labelled by depth or force.
     library : Path
-        Library of the tools that press.
+        Folder of a library with the tools that press.
     untouched, options, pulse_at, report, check
         As of :func:`acoustube.runs.twin.fitted_sensor`.
 
     Raises
     ------
     ConfigError
-        If a recording cannot be used, or the library is of another tube.
+        If a recording cannot be used, or the library has another bore or lacks a tool.
     """
     known = open_library(library)
     _check_bore(found, known, library, report)
@@ -101,7 +102,7 @@ def presses_of(
     ----------
     data : Dataset
     labels : sequence of str
-        Those of :data:`LABELS` that the cycles have; the others are nan.
+        Those of :data:`LABELS` that the cycles have; the others are nan in the result.
     """
     for whole, share in alike(data, labels, data.sizes["cycle"]):
         part = whole.isel(cycle=slice(0, MOST_CYCLES))
@@ -113,7 +114,7 @@ def presses_of(
 
 
 def _check_bore(found: FittedSensor, known: Library, path: Path, report: Reporter) -> None:
-    """Raise if the library is of another bore than the twin's; note a small difference."""
+    """Raise if the bores of library and twin differ; note a small difference."""
     own = radius(found.twin)[0]
     off = abs(known.radius / own - 1)
     words = (
@@ -158,7 +159,7 @@ def _inverter(
 def _state(
     path: Path, label: Mapping[str, float], inverted: Inversion, library: Library
 ) -> PressedState:
-    """Return a press with the depth and force of its label, and the depth from its echo."""
+    """Return a press with stated depth and force, and with the depth estimated from its echo."""
     contact, reason = _contact(inverted, label["true_distance"])
     tool = library.tools[0 if contact is None else contact.tool]
     place = label["true_distance"]
@@ -176,7 +177,7 @@ def _state(
 
 
 def _contact(inverted: Inversion, place: float) -> tuple[Contact | None, str]:
-    """Return the contact of a label, and the reason why its depth is unusable; empty if usable."""
+    """Return the contact nearest to a place in m, and why its depth is unusable, or empty."""
     likely = [one for one in inverted.contacts if one.probability > 0.5]
     if not likely:
         return None, "no contact is found in its echo"

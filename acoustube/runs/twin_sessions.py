@@ -30,11 +30,11 @@ COMPARED = {
     "temperature_offset_c": "temperature_bias", "gain_v": "gain", "send_v": "send",
     "noise_v": "noise", "offset_v": "offset", "young_modulus_mpa": None,
 }  # fmt: skip
-"""Parameters of twins, and the corresponding parameters of the rangefinder; None without one."""
+"""Parameters of twins that are compared, each with its name in the rangefinder, or None."""
 LOGARITHMS = ("resonance_khz", "quality_factor", "gain_v", "send_v", "noise_v")
-"""Positive parameters, which are compared by their logarithms."""
+"""Positive parameters, whose logarithms are compared."""
 CHANCE = 0.05
-"""Significance level of the test whether a parameter varies between sessions (wanders)."""
+"""Significance level of the test whether a parameter varies between sessions."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,10 +45,11 @@ class Across:
     ----------
     name : str
     mean, deviation : float
-        Mean over sessions and its standard deviation.
+        Mean over sessions and the standard deviation of this mean, in the parameter's unit; for
+        :data:`LOGARITHMS` the geometric mean.
     spread : float
-        Standard deviation between sessions in excess of that of the fits, in the parameter's unit;
-        for :data:`LOGARITHMS` the standard deviation of the logarithm times the mean.
+        Standard deviation between sessions, less that due to the fits, in the parameter's unit; for
+        :data:`LOGARITHMS` the standard deviation of the logarithm times the mean.
     wanders : bool
         Whether the sessions differ significantly, at the level :data:`CHANCE`.
     """
@@ -61,20 +62,20 @@ class Across:
 
 
 def across_sessions(name: str, values: Array, deviations: Array) -> Across:
-    """Return mean and scatter of a parameter over sessions.
+    """Return mean and variation of a parameter over sessions, by a random-effects model.
 
     Parameters
     ----------
     name : str
     values, deviations : ndarray
-        Values and standard deviations of the sessions, (n,).
+        Values and standard deviations of the parameter in the sessions, (n,), n > 1.
 
     Notes
     -----
     Random-effects model: the value of a session is that of the sensor, plus a normal deviation of
     the session, plus the error of the fit. The variance between sessions is estimated by moments
-    [1]_. They differ if Cochran's Q is significant by the chi-squared distribution with n - 1
-    degrees of freedom.
+    [1]_. The sessions differ if Cochran's Q is significant by the chi-squared distribution with
+    n - 1 degrees of freedom.
 
     References
     ----------
@@ -99,24 +100,27 @@ def across_sessions(name: str, values: Array, deviations: Array) -> Across:
 
 
 def recipe_settings(paths: Sequence[Path]) -> tuple[dict[str, Any], list[Across]]:
-    """Return settings of :class:`acoustube.runs.sweep.cycles.Recipe` of a sensor's sessions.
+    """Return settings of a :class:`acoustube.runs.sweep.cycles.Recipe` from a sensor's files.
 
     Parameters
     ----------
     paths : sequence of Path
-        Files of twins of one sensor; or a single file of any sensor.
+        Files of twins of one sensor, one for each session; or a single file of any sensor.
 
     Returns
     -------
     settings : dict
-        The rangefinder is that of the first file with the means over sessions.
+        Arguments of the recipe by name. With several files, the rangefinder is that of the first
+        file with the means over sessions.
     table : list of Across
-        Mean and variation of each parameter; empty for one file.
+        Mean and variation of each parameter that two or more sessions determine; empty for one
+        file.
 
     Raises
     ------
     ConfigError
-        If one of several files is not that of a twin, or they differ in sampling.
+        If a file cannot be read or describes a wrapped tube, one of several is not that of a twin,
+        or several differ in sampling, converter or in whether the humidity is stated.
     """
     documents = [read_document(path) for path in paths]
     for path, document in zip(paths, documents, strict=True):
@@ -155,7 +159,10 @@ def recipe_settings(paths: Sequence[Path]) -> tuple[dict[str, Any], list[Across]
 def _known(
     name: str, documents: Sequence[dict[str, Any]], paths: Sequence[Path]
 ) -> tuple[Array, Array] | None:
-    """Return values and deviations of a parameter in the sessions that determine it."""
+    """Return values and deviations of a parameter, (n,), from the n sessions that determine it.
+
+    None is returned unless n is 2 or more.
+    """
     found = []
     for document, path in zip(documents, paths, strict=True):
         if name in determined(document):
@@ -172,7 +179,7 @@ def _drawn(
     first: dict[str, Any],
     paths: Sequence[Path],
 ) -> dict[str, Any]:
-    """Return the means over sessions, and the standard deviations with which sessions are drawn."""
+    """Return arguments of a recipe: means over sessions, and deviations to draw sessions with."""
     means: dict[str, float] = {}
     spread: list[tuple[str, float]] = []
     found: dict[str, Any] = {}
@@ -201,7 +208,7 @@ def _drawn(
 
 
 def _clutter(paths: Sequence[Path]) -> tuple[tuple[float, ...], float]:
-    """Return the mean irregularities, and the power in 1/m of their changes between sessions."""
+    """Return mean reflection coefficients of the clutter, and power in 1/m of its changes."""
     each = [np.array(twin_settings(path)["reflectors"]) for path in paths]
     n = min(len(one) for one in each)
     if n == 0:

@@ -23,6 +23,7 @@ from acoustube.runs.inversion import RecordingInverter
 LIMIT_COLUMNS = (
     "recording", "group", "distance_cm", "shape", "indenter_mm", "depth_mm", "force_n", "misfit",
 )  # fmt: skip
+"""Columns of the table of limits of detection, by position and tool."""
 
 
 class EndsContacts(NamedTuple):
@@ -31,12 +32,13 @@ class EndsContacts(NamedTuple):
     Attributes
     ----------
     contacts : list of (Contact, float)
-        Contacts, each with the smaller misfit of the ends that detect it; 1 or more where both
-        detect it but contradict each other in position or depth.
+        Contacts, at distances from the near end, each with the smaller misfit of the ends that
+        detect it. The misfit is 1 or more where both ends detect the contact but contradict each
+        other in position or depth.
     misfit : float
-        The largest of these misfits.
+        Misfit of `near` with one end; with two, the largest misfit of a contact, nan without any.
     fits : bool
-        Whether each contact is detected by an end whose misfit is below the threshold.
+        Whether the misfit is at most :data:`acoustube.inversion.estimate.MISFIT`, or nan.
     near : Inversion
         Inversion from the near end alone.
     far : (Inversion, float) or None
@@ -64,10 +66,11 @@ class EndsContacts(NamedTuple):
         return min(low, length - far.model.span[1]), max(high, length - far.model.span[0])
 
     def detection_limit(self, places: ArrayLike, tool: int = 0) -> Array:
-        """Return the limits of detection, at each position the lower one of both ends.
+        """Return the least detectable depths in m, the smaller one of both ends at each position.
 
-        Only ends with a misfit below the threshold count; both do if neither has. Parameters and
-        result are those of :meth:`acoustube.inversion.Inversion.detection_limit`.
+        An end whose inversion does not fit is ignored, unless neither fits. Parameters and result
+        are those of :meth:`acoustube.inversion.Inversion.detection_limit`, with positions from the
+        near end.
         """
         at = np.asarray(places, float)
         if self.far is None:
@@ -87,8 +90,9 @@ class EndsInverter:
     Parameters
     ----------
     near : RecordingInverter
+        Inversion of recordings from the near end. The rangefinders of both ends are of one kind.
     untouched : sequence of (Path, xarray.Dataset), optional
-        Recordings of the untouched tube from the far end, whose rangefinder is like the near one.
+        Recordings of the untouched tube from the far end.
     """
 
     def __init__(
@@ -108,14 +112,14 @@ class EndsInverter:
         path, data, size, check
             As of :meth:`acoustube.runs.inversion.RecordingInverter.groups`.
         far : (Path, xarray.Dataset or ConfigError) or None
-            The recording of the same cycles from the far end, or the error of reading it; None if
-            there is only one end.
+            File and recording of the same cycles from the far end, or the error of reading it; None
+            if there is only one end.
 
         Raises
         ------
         ConfigError
-            If a recording does not match the sensor, the length of the tube is not stated, or both
-            recordings differ in their number of cycles.
+            If a recording does not match the sensor. With `far` also if this recording could not be
+            read, the numbers of cycles differ, or nothing states the length of the tube.
         """
         here = self.near.groups(path, data, size, check)
         if far is None:
@@ -143,7 +147,7 @@ class EndsInverter:
             yield number, self._joined(one, two, length)
 
     def _joined(self, near: Inversion, far: Inversion, length: float) -> EndsContacts:
-        """Return the contacts that are detected from one end or from both."""
+        """Return the contacts that one end or both detect, in a tube of a length in m."""
         known = self.near.tool_library, self.near.sensor.priors
         pairs = []
         for one in joined_contacts(near.contacts, far.contacts, length, *known):
@@ -156,7 +160,7 @@ class EndsInverter:
 
 
 def limit_rows(path: Path, group: int, found: EndsContacts, library: Library) -> list[list[object]]:
-    """Return rows of :data:`LIMIT_COLUMNS`: the least detectable depth and force along the tube.
+    """Return the least detectable depths and forces along the tube as :data:`LIMIT_COLUMNS`.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ from acoustube.lumen.thinning import decimate_rings
 from acoustube.runs.results import XYZ
 
 MANTISSA = 12
-"""Bits of a coordinate's mantissa that are kept: a precision of 1e-4, at half the file size."""
+"""Bits kept of a number's mantissa: a relative precision of 1e-4 at half the file size."""
 
 
 def walls(part: Lumen) -> xr.Dataset:
@@ -26,8 +26,9 @@ def walls(part: Lumen) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        ``inner_wall`` and ``outer_wall`` (ring, around, xyz), `RINGS` by `AROUND` points in m, and
-        ``area_profile`` (z) in m2; the press at z = 0.
+        ``inner_wall`` and ``outer_wall`` in m (ring, around, xyz), thinned out by
+        :func:`acoustube.lumen.thinning.decimate_rings`, and ``area_profile`` in m2 (z), in single
+        precision; the press is at z = 0.
     """
     here = np.array([0.0, 0.0, part.position])
     inner, outer = decimate_rings(part.rings - here, part.outer_rings - here)

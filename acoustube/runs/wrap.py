@@ -16,13 +16,15 @@ from acoustube.sleeve import Helix, design
 from acoustube.sleeve.helix import HANDS
 
 NODES = 9
-"""Number of positions at which curvature is given; it varies by a third along a forearm."""
+"""Number of positions with a stated curvature. Curvature varies by a third along a forearm."""
 FOREARM = "forearm_cm"
+"""Entry of ``[wrap]`` with the values of :data:`SIZES`."""
 SIZES = (
     ("length of the forearm", Number(3, 150, "cm", "under the sleeve")),
     ("first girth of the forearm", Number(8, 150, "cm", "near the sensor")),
     ("second girth of the forearm", Number(8, 150, "cm", "at the other end")),
 )
+"""Sizes of a forearm: name and allowed range of each."""
 WINDING: dict[str, Any] = {
     "loops": Number(0.25, 100, "", "turns of the tube"),
     "pitch_cm": Number(0.5, 100, "cm", "advance per turn"),
@@ -30,20 +32,20 @@ WINDING: dict[str, Any] = {
     "tube_diameter_mm": Number(1, 50, "mm", "outer"),
     "hand": Choice(tuple(HANDS)),
 }
-"""Options of ``acoustube sleeve`` that determine the curvature of a tube."""
+"""Further entries of ``[wrap]``: the options of ``acoustube sleeve`` that determine curvature."""
 LONGEST = 100.0
 """Longest tube in m."""
 
 
 def wrap_of(helix: Helix) -> Wrap:
-    """Return the wrap of a tube of a sleeve."""
+    """Return curvature and torsion of a tube of a sleeve at :data:`NODES` positions along it."""
     place = np.linspace(helix.lead, helix.tube_length, NODES)
     curvature, torsion = helix.bend(helix.height(place))
     return Wrap(place=place, curvature=curvature, torsion=torsion)
 
 
 def read_wrap(table: Any, path: Path) -> Wrap:
-    """Return the wrap that the table ``[wrap]`` of a sensor's file states.
+    """Return curvature and torsion of the tube that ``[wrap]`` of a sensor's file describes.
 
     Parameters
     ----------
@@ -84,7 +86,7 @@ def read_wrap(table: Any, path: Path) -> Wrap:
 
 
 def _forearm(sizes: Any) -> list[float]:
-    """Return the length and the girths of a forearm in m."""
+    """Return the length and both girths of a forearm in m; raise if a size is wrong."""
     if not isinstance(sizes, list) or len(sizes) != len(SIZES):
         raise ConfigError(
             f"needs {FOREARM} = [26, 18, 26.6], say: length of the sleeve, and girths of the arm "

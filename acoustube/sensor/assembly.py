@@ -38,11 +38,11 @@ WRAPAROUND_ATTENUATION = 300.0
 """Factor by which echoes later than a cycle are attenuated, since they wrap around; a larger one
 costs digits of float32."""
 LEFT_OUT, MOST_LEFT_OUT = 5e-5, 3e-4
-"""Fraction of the received energy outside the band, and its limit where the library ends the
-band."""
+"""Fraction of the received energy left outside the band, and largest such fraction where the band
+ends with that of the library."""
 
 REFLECTORS_AT_ONCE = 256
-"""Number of reflectors of the clutter that are computed at once, in double precision."""
+"""Number of the clutter's reflectors that are computed at once, in double precision."""
 TAPER = 0.1
 """Fraction of the band over which each of its ends is tapered."""
 
@@ -58,8 +58,8 @@ def assembled(
 ) -> tuple[PressTables, Shape, Parts, Pair | None]:
     """Return the tables of a sensor, inputs of its compiled functions, and the change by a wrap.
 
-    The change is the echo of the untouched wrapped tube less that of the straight one; None without
-    a wrap.
+    The last is the echo of the untouched wrapped tube less that of the untouched straight one,
+    (n_f,); None without a wrap.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def assembled(
         _float32(tube.tables.values), _float32(tube.decay), _float32(tube.turn), _float32(clutter),
         _float32(_triangle(tube.far)),
     )  # fmt: skip
-    # They share memory on the CPU; those of a wrapped tube take 200 MB.
+    # The tables share the memory of `presses` on the CPU; those of a wrapped tube take 200 MB.
     tables = replace(tube.tables, values=np.asarray(constants.presses))
     tube = tube._replace(tables=tables)
     if tube.entry is not None:
@@ -132,11 +132,12 @@ class _Tube(NamedTuple):
     Attributes
     ----------
     phase : callable
-        Takes places in m, (n,); returns the complex phase in rad of the plane wave up to them,
-        (n, n_f).
-    far, entry : ndarray
-        Reflection matrix of the far end, (n_f, m, m); matrix of
-        :class:`acoustube.inversion.paths.Entry`, (n_f, m, m_s), or None.
+        Takes places in m, (n,); returns the complex phase in rad of the plane wave from the face to
+        each place, (n, n_f).
+    far : ndarray
+        Reflection matrix of the far end, (n_f, m, m).
+    entry : ndarray or None
+        Matrix of :class:`acoustube.inversion.paths.Entry`, (n_f, m, m_s); None for a straight tube.
     untouched : ndarray
         Echo of the tube without contact or clutter, (n_f,).
     """
@@ -184,7 +185,7 @@ def _wrapped(
 
 
 def _triangle(matrix: Complex) -> Array:
-    """Return real and imaginary parts of the upper triangle, (2, m (m + 1) / 2, n_f)."""
+    """Return the upper triangles of matrices (n_f, m, m), in parts, (2, m (m + 1) / 2, n_f)."""
     part = matrix[:, *np.triu_indices(matrix.shape[-1])].T
     return np.asarray(np.stack([part.real, part.imag]), float)
 
@@ -198,7 +199,13 @@ def _float32(array: Array | NDArray[np.float32]) -> jax.Array:
 
 
 def _band(frequency: Array, received: Complex, available: tuple[float, float]) -> NDArray[np.bool_]:
-    """Return the mask of the contiguous band that contains nearly all received energy."""
+    """Return the mask of the contiguous band that contains nearly all received energy, (n_f,).
+
+    Raises
+    ------
+    ConfigError
+        If too much of that energy is outside the available range of frequencies in Hz.
+    """
     share = np.cumsum(np.abs(received) ** 2)
     share /= share[-1]
     wanted = (share > LEFT_OUT / 2) & (share < 1 - LEFT_OUT / 2)
@@ -225,9 +232,9 @@ def _taper(n: int) -> Array:
 def _clutter_beyond(
     phase: Callable[[Array], Complex], n_f: int, density: float, length: float, seed: int
 ) -> tuple[NDArray[np.float32], Complex]:
-    """Return the echo of the clutter beyond each reflector, and that of all clutter, (n_f,).
+    """Return the echo of each reflector and all those behind it, and that of all clutter, (n_f,).
 
-    The former as real and imaginary parts, (n_reflectors + 1, 2, n_f). The clutter is that of
+    The former are real and imaginary parts, (n_reflectors + 1, 2, n_f). The clutter is that of
     :func:`acoustube.ranging.analogue.clutter`, summed from the far end.
     """
     total: Complex = np.zeros(n_f, complex)

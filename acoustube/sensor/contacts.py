@@ -30,14 +30,14 @@ class Contact:
     depth : float or None
         Indentation depth from first contact in m.
     force : float or None
-        In N, in place of the depth.
+        Contact force in N, in place of the depth.
     diameter : float or None
-        Of the tool in m; None for the only tool of a library.
+        Diameter of the tool in m; None for the only tool of a library.
 
     Raises
     ------
     ConfigError
-        If not exactly one of depth and force is given, or a value is not a number.
+        If not exactly one of depth and force is given, or a value is outside its range.
     """
 
     place: float
@@ -63,10 +63,13 @@ def contact_arrays(
 ) -> tuple[Array, Array, Array]:
     """Return places, depths and diameters of contacts in m, each (1, most).
 
+    Columns beyond the given contacts have place and depth 0.
+
     Raises
     ------
     ConfigError
-        If there are too many contacts, or a force or a diameter is outside the library's range.
+        If there are more than `most` contacts, a force or a diameter is outside the library's
+        range, or a diameter is missing and there are several tools.
     """
     if len(contacts) > most:
         raise ConfigError(
@@ -83,12 +86,12 @@ def contact_arrays(
 
 
 def diameter_of(tables: PressTables, diameter: float | None) -> float:
-    """Return a diameter in m; for None, that of the only tool.
+    """Return a tool's diameter in m; for None, that of the library's only tool.
 
     Raises
     ------
     ConfigError
-        If it is outside the library's range, or None and there are several tools.
+        If the diameter is outside the library's range, or None and there are several tools.
     """
     known = tables.diameters
     words = " and ".join(f"{MM * one:g}" for one in known)
@@ -106,7 +109,7 @@ def diameter_of(tables: PressTables, diameter: float | None) -> float:
 
 
 def force_at(tables: PressTables, depth: float, diameter: float | None) -> float:
-    """Return the force in N of a tool at a depth in m.
+    """Return the force in N of a tool at a depth in m; `diameter` as in :func:`diameter_of`.
 
     Raises
     ------
@@ -121,6 +124,8 @@ def force_at(tables: PressTables, depth: float, diameter: float | None) -> float
 def depth_at(tables: PressTables, force: float, diameter: float | None) -> float:
     """Return the depth in m at which a tool exerts a force in N.
 
+    `diameter` is as in :func:`diameter_of`.
+
     Raises
     ------
     ConfigError
@@ -132,7 +137,7 @@ def depth_at(tables: PressTables, force: float, diameter: float | None) -> float
 
 
 def _path(tables: PressTables, diameter: float | None) -> tuple[Array, Array]:
-    """Return depths and forces of a tool, interpolated for a diameter between two tools."""
+    """Return depths in m and forces in N of a tool, for any diameter between those of two tools."""
     size = diameter_of(tables, diameter)
     low, high, weight = _neighbours(tables, np.array(size))
     paths = []
@@ -164,7 +169,7 @@ def check_contacts(
     span: tuple[float, float],
     apart: float,
 ) -> None:
-    """Raise if a contact is outside the range of the tube or the library, or too close to another.
+    """Check that contacts lie within the ranges of tube and library, and apart from each other.
 
     Parameters
     ----------
@@ -179,6 +184,7 @@ def check_contacts(
     Raises
     ------
     ConfigError
+        If a contact is outside these ranges, or too close to another.
     """
     there = depth > 0
     low, high, _ = _neighbours(tables, diameter)

@@ -33,13 +33,17 @@ class Shape:
     ----------
     number : tuple of int
         :attr:`acoustube.sensor.tables.PressTables.number`, flattened.
-    modes, period, n_samples, first_bin : int
-        Number of modes; samples of the cyclic time and of a cycle; index of the band's first
-        frequency in the spectrum.
+    modes : int
+        Number of modes that propagate between contacts.
+    period, n_samples : int
+        Number of samples of the cyclic time in which a cycle is computed, and of the cycle.
+    first_bin : int
+        Index of the band's first frequency in the spectrum.
     ends : tuple of float
-        Places in m where the modes of the sections begin and end.
+        Places in m where the modes of the sections begin and end: both ends of the tube, or of its
+        wrap.
     face : complex
-        Reflection coefficient of the face.
+        Reflection coefficient of the transducer's face.
     places : int
         Number of places along a wrapped tube at which the scattering of contacts is tabulated; 1
         for a straight tube.
@@ -61,6 +65,7 @@ class Parts(NamedTuple):
     Attributes
     ----------
     constants : Constants
+        Arrays from which the echo is computed.
     depths : jax.Array
         Depth of each row of each tool in m, rising, padded with infinity, (n_tools, n_most).
     diameters : jax.Array
@@ -68,7 +73,7 @@ class Parts(NamedTuple):
     first : jax.Array
         Index of the first row of each tool, (n_tools,).
     untouched : Pair
-        Echo of the untouched tube, (n_f,).
+        Echo of the untouched tube, clutter included, over the launched wave, (n_f,).
     scale : Pair
         Spectrum of the voltage of a complete reflection times the sampling rate, in V, (n_f,).
     growth : jax.Array
@@ -95,8 +100,9 @@ def changes_of(
     shape : Shape
     parts : Parts
     place, depth, diameter : jax.Array
-        Of the contacts in m, in any order, (n, n_contacts); depth 0 for no contact. Values outside
-        the tables are replaced by those at their ends.
+        Of the contacts in m, in any order, (n, n_contacts); depth 0 for no contact. Depths and
+        diameters outside the tables are replaced by those at their ends, and places before the
+        first end of :class:`Shape` by that end. Places beyond its second end are not valid.
 
     Returns
     -------
@@ -115,14 +121,17 @@ def changes_of(
 
 
 def echo_voltage(shape: Shape, parts: Parts, echo_at_face: Pair) -> Array:
-    """Return the voltage in V of an echo given at the band's frequencies, (n_samples,)."""
+    """Return the voltage in V of an echo, relative to the launched wave, (n_samples,).
+
+    The echo is given at the frequencies of the band, (n_f,).
+    """
     received = echo_at_face * parts.scale
     band = jax.lax.complex(received.re, received.im)
     return np.asarray(_voltage(shape, parts, band[None])[0], float)
 
 
 def _voltage(shape: Shape, parts: Parts, band: jax.Array) -> jax.Array:
-    """Return the voltage in V of spectra given at the band's frequencies, (n, n_samples)."""
+    """Return the voltages in V of spectra at the frequencies of the band, (n, n_samples)."""
     spectrum = jnp.zeros((len(band), shape.period // 2 + 1), jnp.complex64)
     columns = slice(shape.first_bin, shape.first_bin + band.shape[1])
     spectrum = spectrum.at[:, columns].set(band)
@@ -132,7 +141,9 @@ def _voltage(shape: Shape, parts: Parts, band: jax.Array) -> jax.Array:
 def counts_of(
     rangefinder: Rangefinder, untouched: ArrayLike, changes: jax.Array, key: jax.Array | None
 ) -> jax.Array:
-    """Return the counts of cycles, with noise, drift and quantisation if there is a key.
+    """Return the counts of cycles, (n, n_samples), float32.
+
+    With a key they have noise, drift and, if the rangefinder quantises, rounding and clipping.
 
     Parameters
     ----------
@@ -218,8 +229,9 @@ class CycleModel:
         Parameters
         ----------
         places, depths, diameters : jax.Array
-            Of the contacts in m, (n, n_contacts); depth 0 for no contact. Values outside the
-            library's range are replaced by those at its ends.
+            Of the contacts in m, (n, n_contacts); depth 0 for no contact. Depths and diameters
+            outside the library's range are replaced by those at its ends. The default diameter is
+            the smallest of the library.
         key : jax.Array, optional
             Random key of noise, drift and, if the rangefinder has it, quantisation, which has no
             derivative.
@@ -227,7 +239,7 @@ class CycleModel:
         Returns
         -------
         jax.Array
-            (n, n_samples) float32.
+            Counts, (n, n_samples), float32.
         """
         sizes = jnp.zeros_like(depths) if diameters is None else diameters
         changes = changes_of(self.shape, self.parts, places, depths, sizes)
@@ -237,7 +249,11 @@ class CycleModel:
 def echo_of(
     shape: Shape, parts: Parts, place: jax.Array, depth: jax.Array, diameter: jax.Array
 ) -> Pair:
-    """Return the echo of contacts in rising order; parameters as in :func:`changes_of`."""
+    """Return the echo of the contacts of one cycle over the launched wave, (n_f,).
+
+    The parameters are those of :func:`changes_of`, but for one cycle, with rising places,
+    (n_contacts,).
+    """
     n = parts.constants.clutter.shape[0] - 1
     reflector = jnp.clip((place / REFLECTOR_SPACING + 0.5).astype(jnp.int32), 0, n)
     size = 2 * shape.modes
@@ -267,7 +283,7 @@ def _press(parts: Parts, depth: jax.Array, diameter: jax.Array) -> Press:
 
 
 def _placed(shape: Shape, parts: Parts, press: Press, place: jax.Array) -> Press:
-    """Return the rows and weights of contacts at two places of a wrapped tube."""
+    """Return rows and weights of contacts interpolated between two tabulated places of a wrap."""
     n_rows = parts.constants.presses.shape[0] // shape.places
     x = (place - shape.ends[0]) * ((shape.places - 1) / (shape.ends[1] - shape.ends[0]))
     low = jnp.clip(jnp.floor(x).astype(jnp.int32), 0, shape.places - 2)

@@ -36,7 +36,8 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
     sensor : TubeSensor
         Sensor whose library has one tool, which is the finger.
     reach : tuple of float, optional
-        Nearest and farthest place in m; by default the part of the sensor's ``span`` from 0.3 m on.
+        Nearest and farthest place in m; by default the part of the sensor's ``span`` from 0.3 m to
+        :data:`acoustube.sensor.contacts.HALF_PRESS` before its end.
 
     Attributes
     ----------
@@ -50,13 +51,15 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
     Raises
     ------
     ConfigError
-        If gymnasium is missing, or the sensor's library has several tools.
+        If gymnasium is missing, the sensor's library has several tools, or `reach` is not within
+        the sensor's ``span``.
 
     Notes
     -----
     The reward of a step is minus the sum of the distance to the goal in units of 10 cm and the
-    difference of force over the largest force. An episode ends at the goal. ``info`` holds the true
-    contact: ``place``, ``force``, ``depth``.
+    difference of force over the largest force. An episode ends at the goal, and is truncated after
+    :data:`LONGEST_EPISODE` steps. ``info`` holds the true contact: ``place`` in m, ``force`` in N,
+    ``depth`` in m.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
@@ -91,7 +94,7 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, float]]:
-        """Start an episode at a random place and force, and return its first observation.
+        """Start an episode at a random place and force; return first observation and ``info``.
 
         Parameters
         ----------
@@ -99,6 +102,11 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
             Seed of all random numbers.
         options : dict, optional
             ``goal``: place in m and force in N; by default at random.
+
+        Raises
+        ------
+        ConfigError
+            If the goal is not two non-negative numbers.
         """
         super().reset(seed=seed)
         low, high = [self.reach[0], 0.1 * self.largest], [self.reach[1], 0.9 * self.largest]
@@ -112,7 +120,15 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[dict[str, NDArray[np.float32]], float, bool, bool, dict[str, float]]:
-        """Move, and return observation, reward, whether at goal, whether truncated, and contact."""
+        """Move; return observation, reward, whether at the goal, whether truncated, and ``info``.
+
+        Parts of the action outside -1 to 1 are clipped.
+
+        Raises
+        ------
+        ConfigError
+            If the action is not two numbers.
+        """
         check_argument("action", action, Reals(ndim=1, last=2))
         most = np.array([LONGEST_MOVE, LARGEST_CHANGE * self.largest])
         moved = self.state + most * np.clip(np.asarray(action, float), -1, 1)

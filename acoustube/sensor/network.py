@@ -71,18 +71,18 @@ class Entry(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """Constant arrays of a sensor, in float32.
+    """Arrays from which the echo is computed, in float32.
 
     Attributes
     ----------
     presses : jax.Array
         :attr:`acoustube.sensor.tables.PressTables.values`.
     decay, turn : jax.Array
-        Real part of -j times the axial wavenumbers in 1/m, and its imaginary part in revolutions
-        per m, (m, n_f); of a wrapped tube their integrals from its start, (n_z, m, n_f).
+        Real part in 1/m and imaginary part in revolutions per m of -j times the axial wavenumbers,
+        (m, n_f); in a wrapped tube their integrals from the start of the wrap, (n_z, m, n_f).
     clutter : jax.Array
-        Echo of the clutter beyond each reflector, (n_reflectors + 1, 2, n_f); or of shape
-        (1, 2, n_f) if there is none.
+        Echo of each reflector of the clutter and all those behind it, and a last row of zeros,
+        (n_reflectors + 1, 2, n_f); without clutter the zeros alone, (1, 2, n_f).
     far : jax.Array
         Reflection matrix of the far end, its upper triangle, (2, m (m + 1) / 2, n_f).
     entry : Entry or None
@@ -98,11 +98,16 @@ class Constants(NamedTuple):
 
 
 class Press(NamedTuple):
-    """Rows of the tables from which contacts are interpolated, and weights, (n_contacts, n).
+    """Rows of the tables from which the matrices of contacts are interpolated, and weights.
 
-    A row has the weight 1 - w and the next row the weight w, in each of one, two or four parts: for
-    two tools, and at two places of a wrapped tube. The further weights are those of the second tool
-    and of the second place.
+    Attributes
+    ----------
+    row : jax.Array
+        First of two adjacent rows between which each part is interpolated, (n_contacts, n_parts).
+        The parts are two tools, two places of a wrapped tube, four of both, or a single one.
+    weight : jax.Array
+        Weight of the second row of each part, then that of the second tool, if there are two, and
+        that of the second place, if there are two; (n_contacts, n_parts) to (n_contacts, 6).
     """
 
     row: jax.Array
@@ -129,7 +134,7 @@ def echo(
     place : jax.Array
         Distances from the face in m, rising, (n_contacts,).
     reflector : jax.Array
-        Index of the first reflector of the clutter behind each contact, (n_contacts,).
+        Index of the clutter's first reflector behind each contact, (n_contacts,).
     ends : tuple of float
         Places in m where the modes of the sections begin, at the face or at the start of the wrap,
         and where they end; fixed when compiled.
@@ -139,7 +144,7 @@ def echo(
     Returns
     -------
     Pair
-        (n_f,).
+        Amplitude of the arriving plane wave over that launched, (n_f,).
 
     Notes
     -----
@@ -213,7 +218,11 @@ def _matrix(
 
 
 def _input_reflection(s: Matrix, load: Matrix, m: int) -> Matrix:
-    """Return the reflection matrix of a contact before a load: R1 + T12 (1 - L R2)^-1 L T21."""
+    """Return the reflection matrix of a contact before a load: R1 + T12 (1 - L R2)^-1 L T21.
+
+    L is the reflection matrix of the load. R1 and R2 are those of the contact at its front and its
+    back, and T12 and T21 its transmission matrices from back to front and from front to back.
+    """
     loop = [
         [_unit(i == j) - _dot(load[i], [s[m + k][m + j] for k in range(m)]) for j in range(m)]
         for i in range(m)
@@ -242,7 +251,7 @@ def _propagated(
 def _between(
     table: jax.Array, ends: tuple[float, float], here: jax.Array | float, there: jax.Array
 ) -> jax.Array:
-    """Return the integral of a wavenumber between two places, (m, n_f)."""
+    """Return the integrals of `decay` or `turn` of :class:`Constants` between places, (m, n_f)."""
     if table.ndim == 2:
         return table * (there - here)
     last = table.shape[0] - 1
@@ -282,8 +291,8 @@ def _inverse(a: Matrix) -> Matrix:
 def _turned(revolutions: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Return cosine and sine of angles in revolutions, to 1e-6.
 
-    By polynomials over a quarter revolution. The library's functions reduce angles of any size with
-    more digits than single precision has here, and take ten times as long.
+    They are polynomials over a quarter revolution. The functions of JAX reduce angles of any size
+    with more digits than are needed here, and take ten times as long.
     """
     quarters = 4 * (revolutions - jnp.round(revolutions))
     whole = jnp.round(quarters)

@@ -14,13 +14,12 @@ from scipy.interpolate import CubicSpline
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.inversion import Library, Tool
+from acoustube.inversion.tables import MOST_MODES
 from acoustube.waves.interpolation import Onsets, interpolated, onsets
 from acoustube.waves.modes import cut_on_frequency
 from acoustube.waves.modes.grid_modes import mode_numbers
 from acoustube.waves.scattering import Complex
 
-MOST_MODES = 3
-"""Number of modes that propagate between contacts."""
 MOST_PARTS = 64
 """Largest number of parts into which an interval between depths of a library is divided."""
 EQUAL = 1e-6
@@ -47,9 +46,9 @@ class PressTables:
     diameters : ndarray
         Of the tools in m, rising, (n_tools,).
     between : ndarray
-        Relative rms error of the plane wave's reflection if a tool is interpolated between its
-        neighbours, the largest over their common depths; nan for the first and the last tool,
-        (n_tools,).
+        Relative rms error of the plane wave's reflection by each tool if it is interpolated between
+        the next smaller and the next larger tool, (n_tools,). It is the largest over the common
+        depths; nan for the first and the last tool.
     """
 
     values: NDArray[np.float32]
@@ -62,7 +61,7 @@ class PressTables:
 
     @property
     def modes(self) -> int:
-        """Number of modes."""
+        """Number m of modes that propagate between contacts."""
         return int(self.number.shape[1])
 
     @property
@@ -80,9 +79,9 @@ def press_tables(
     ----------
     library : Library
     frequency : ndarray
-        In Hz, complex, evenly spaced, (n_f,).
+        Complex frequencies in Hz, evenly spaced, (n_f,).
     stretch : float
-        Ratio of the speed of sound to that of the library.
+        Ratio of the speed of sound in the tube to that of the library.
     tolerance : float
         Relative rms error that linear interpolation between rows may add to the cubic splines
         between the library's depths.
@@ -90,8 +89,8 @@ def press_tables(
     Raises
     ------
     ConfigError
-        If tools differ in shape or have equal diameters, or the scattering of one is not
-        reciprocal.
+        If tools differ in shape or have equal diameters, the first mode is not the plane mode, or
+        the scattering of a tool is not reciprocal.
 
     Notes
     -----
@@ -148,7 +147,11 @@ def _different(tools: list[Tool]) -> tuple[NDArray[np.int64], list[int]]:
 
 
 def _at_frequencies(tool: Tool, kept: list[int], frequency: Complex, stretch: float) -> Complex:
-    """Return the distinct coefficients over depth, the untouched tube's first, (u, n, n_f)."""
+    """Return a tool's distinct coefficients over depth at frequencies in Hz, (n_different, n, n_f).
+
+    The first of the n depths is 0, the untouched tube; the others are those of the tool. `kept`
+    holds the places of the distinct coefficients in the flattened matrix.
+    """
     m = min(len(tool.modes), MOST_MODES)
     s = tool.s[:, :, :, :m, :, :m]
     untouched = np.zeros(s.shape[1:], s.dtype)
@@ -172,10 +175,11 @@ def _at_frequencies(tool: Tool, kept: list[int], frequency: Complex, stretch: fl
 
 
 def _refined(splines: list[CubicSpline], nodes: Array, plane: int, tolerance: float) -> Array:
-    """Return the nodes and depths between them, so that linear interpolation meets the tolerance.
+    """Return depths, the nodes among them, so dense that linear interpolation meets the tolerance.
 
-    The error of linear interpolation over an interval is taken at its middle. It falls with the
-    square of the number of parts.
+    The splines are those of the distinct coefficients over depth; that of index `plane`, the plane
+    wave's reflection, has a relative error. The error over an interval is taken at its middle and
+    falls with the square of the number of parts, of which there are at most :data:`MOST_PARTS`.
     """
     middle, worst = (nodes[1:] + nodes[:-1]) / 2, np.zeros(len(nodes) - 1)
     for i, spline in enumerate(splines):
@@ -203,7 +207,7 @@ def _rows(splines: list[CubicSpline], depths: Array) -> NDArray[np.float32]:
 
 
 def _rms(values: Complex) -> Array:
-    """Return the rms over the last axis."""
+    """Return the root mean square of magnitudes over the last axis."""
     return np.sqrt(np.mean(np.abs(values) ** 2, axis=-1))
 
 

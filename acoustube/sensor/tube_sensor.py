@@ -63,15 +63,16 @@ class TubeSensor:
     rangefinder : Rangefinder, optional
         Default: the sleeve paper's board.
     length : float
-        Of the tube in m.
+        Length of the tube in m.
     temperature : float
-        Of the air in degC.
+        Temperature of the air in degC.
     tube_seed : int
         Random seed of the tube's clutter, as in :func:`acoustube.ranging.record`.
     most_contacts : int
         Largest number of contacts in a cycle.
     tolerance : float
-        Relative rms error of the reflection that the tables may add to the library's interpolation.
+        Relative rms error of the reflection that linear interpolation between the depths of the
+        tables may add to the error of the library's interpolation.
     wrap : Wrap, optional
         Wrap of the tube about an arm, from a sleeve (:func:`acoustube.runs.wrap.wrap_of`) or the
         file of a sensor (``read_sensor(path).wrap``,
@@ -147,7 +148,7 @@ class TubeSensor:
 
     @classmethod
     def from_library(cls, path: str | PathLike[str], *given: Any, **options: Any) -> TubeSensor:
-        """Return the sensor with a library in a folder; other parameters are those of the class.
+        """Return the sensor with the library of a folder; other parameters are those of the class.
 
         Raises
         ------
@@ -160,26 +161,36 @@ class TubeSensor:
     def force_of(self, depth: float, diameter: float | None = None) -> float:
         """Return the force in N of a tool at a depth in m.
 
+        Without a `diameter` in m, the tool is the only one of the library.
+
         Raises
         ------
         ConfigError
-            If the depth or the diameter is outside the library's range.
+            If the depth or the diameter is outside the library's range, or the diameter is missing
+            and there are several tools.
         """
         return force_at(self.tables, depth, diameter)
 
     def depth_of(self, force: float, diameter: float | None = None) -> float:
         """Return the depth in m at which a tool exerts a force in N.
 
+        Without a `diameter` in m, the tool is the only one of the library.
+
         Raises
         ------
         ConfigError
-            If the force or the diameter is outside the library's range.
+            If the force or the diameter is outside the library's range, or the diameter is missing
+            and there are several tools.
         """
         return depth_at(self.tables, force, diameter)
 
     @property
     def errors(self) -> list[Array]:
-        """Estimated relative rms errors of the reflection interpolated over depth, by indenter."""
+        """Estimated rms errors of the scattering interpolated over depth, by tool.
+
+        For each tool, in the order of diameter, its `interpolation_error` between each depth of the
+        library and the next (:class:`acoustube.inversion.Tool`) plus the tolerance.
+        """
         tools = sorted(self.tool_library.tools, key=lambda tool: tool.diameter)
         return [tool.interpolation_error + self.tolerance for tool in tools]
 
@@ -187,8 +198,9 @@ class TubeSensor:
     def diameter_errors(self) -> Array:
         """Relative rms error of each tool's reflection, if interpolated between its neighbours.
 
-        It is the largest over the depths; nan for the first and the last tool, which have only one
-        neighbour.
+        The neighbours are the next smaller and the next larger tool; tools are in the order of
+        diameter, (n_tools,). The error is the largest over the depths; nan for the first and the
+        last tool.
         """
         return self.tables.between
 
@@ -243,9 +255,9 @@ class TubeSensor:
         Parameters
         ----------
         places, depths : array_like
-            Of the contacts in m, (n, n_contacts); depth 0 for no contact.
+            Of the contacts in m, in any order, (n, n_contacts); depth 0 for no contact.
         diameters : array_like, optional
-            Of their tools in m, (n, n_contacts).
+            Of their tools in m, (n, n_contacts); by default that of the library's only tool.
         seed : int, optional
             Random seed of noise, drift and, if the rangefinder has it, quantisation. Each cycle's
             drift is independent of the others'; jitter and wander of the gain are left out.
@@ -253,7 +265,7 @@ class TubeSensor:
         Returns
         -------
         ndarray
-            (n, n_samples).
+            Counts, (n, n_samples), float32.
 
         Raises
         ------
@@ -287,6 +299,7 @@ class TubeSensor:
         Raises
         ------
         ConfigError
+            As :meth:`read_many`.
         """
         place, depth = np.asarray(places, float), np.asarray(depths, float)
         if diameters is None:

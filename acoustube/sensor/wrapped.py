@@ -45,10 +45,10 @@ def wrapped_path(
     wrap : Wrap
     air : Air
     frequency : ndarray
-        In Hz, (n_f,).
+        Complex frequencies in Hz, evenly spaced, (n_f,).
     library : Library
     modes : int
-        Number of modes of the presses.
+        Number of modes of the presses' matrices, the first ones of the library.
     """
     names = library.modes[:modes]
     k = wavenumbers(names, frequency, library.radius, air, lossy=True)
@@ -71,13 +71,13 @@ def check_wrap(wrap: Wrap, length: float) -> None:
 
 
 def phases(path: WrappedPath) -> tuple[Array, Array]:
-    """Return the integrals of -j times the wavenumbers from the start of the wrap.
+    """Return the integrals of -j times the modes' wavenumbers from the start of the wrap.
 
     Returns
     -------
     decay, turn : ndarray
-        Real part, and imaginary part in revolutions, (n_z, m, n_f), at equal steps of at most
-        :data:`SPACING` along the wrap.
+        Real part in nepers, and imaginary part in revolutions, (n_z, m, n_f), at equal steps of at
+        most :data:`SPACING` along the wrap.
     """
     start, stop = path.wrap.start, path.wrap.stop
     n = max(int(np.ceil((stop - start) / SPACING)), 2) + 1
@@ -98,7 +98,8 @@ def joined_tables(tables: PressTables, library: Library, path: WrappedPath) -> P
     Returns
     -------
     PressTables
-        Its values are those at each of :data:`PLACES` places, one after the other.
+        Its rows are those of the given tables at the first of :data:`PLACES` places, then at the
+        second, and so on.
 
     Notes
     -----
@@ -133,7 +134,10 @@ def joined_tables(tables: PressTables, library: Library, path: WrappedPath) -> P
 def _joined(
     rows: NDArray[np.float32], number: NDArray[np.int64], path: WrappedPath, place: float
 ) -> Complex:
-    """Return rows of the straight tube's tables as scattering between a wrap's modes at a place."""
+    """Return rows of the straight tube's tables as scattering between a wrap's modes at a place.
+
+    The result is (n, n_f, 2, 3, 2, 3), for rows (n, 2, n_different, n_f).
+    """
     from acoustube.inversion.joint_sums import joined_values  # imports Numba, if a tube is wrapped
 
     n, _, _, n_f = rows.shape
@@ -182,9 +186,9 @@ def untouched_echo(path: WrappedPath, far: Complex, entry: Complex, face: comple
     ----------
     path : WrappedPath
     far : ndarray
-        From :func:`far_end`.
+        Reflection matrix from :func:`far_end`, (n_f, m, m).
     entry : ndarray
-        Of :class:`acoustube.inversion.paths.Entry`, (n_f, m, m_s).
+        Matrix of :class:`acoustube.inversion.paths.Entry`, (n_f, m, m_s).
     face : complex
         Reflection coefficient of the face.
     """

@@ -33,8 +33,9 @@ PROMINENCE_SIGMAS = 2.8
 HALF_NORMAL_RATIO = 0.8937
 """Standard deviation of the half-normal distribution (rectified normal noise) over its median."""
 RAYLEIGH_RATIO = 0.6028 / np.sqrt(2 * np.log(2))
-"""The same standard deviation, sqrt(1 - 2 / pi) times that of a component, over the median of the
-magnitude of two normal components: for a compressed chirp, whose samples are magnitudes."""
+"""Standard deviation of the half-normal distribution over the median of the Rayleigh distribution,
+both of normal components with equal variance: for a compressed chirp, whose samples are magnitudes
+of two components."""
 SEARCH_HALF_WIDTH = 0.3
 """Half the width in m of the search window around a closure's distance."""
 CLOSURE_SIGMAS = 6.0
@@ -90,7 +91,7 @@ class Calibration:
     amplitude: Array
 
     def fitted_amplitude(self, distance: ArrayLike) -> Array:
-        """Return the fitted amplitude of a closure's echo at distances in m."""
+        """Return the fitted echo amplitude of closures at distances in m, over the send pulse's."""
         return arctan_fall(np.asarray(distance, float), *(c.value for c in self._parameters))
 
     @property
@@ -133,7 +134,7 @@ def calibrate(
     blocked : array of shape (n, time)
         Cycles with the tube closed at one distance each.
     true_distance : array of shape (n,)
-        These distances in m from the source end.
+        Distance in m from the source end at which each cycle's tube was closed.
     untouched : array of shape (m, time)
         Cycles without contact.
     settings : Processing, optional
@@ -244,7 +245,7 @@ def untouched_deviation(
     Raises
     ------
     ValueError
-        If the cycles end before the search window.
+        If the cycles end before the search window, or as :func:`acoustube.signals.process`.
     """
     time, cycles = np.asarray(time, float), np.asarray(untouched, float)
     rate = sampling_rate(time)
@@ -338,7 +339,7 @@ def _fit_line(x: Array, y: Array) -> tuple[tuple[float, float], tuple[float, flo
 
 
 def _fit_attenuation(places: Array, heights: Array) -> tuple[list[float], list[float]]:
-    """Return c1 to c4 of the arctangent and their deviations, with c1 <= 0 and c2 > 0."""
+    """Return c1 to c4 of the arctangent, with c1 <= 0 and c2 > 0, and their standard deviations."""
     if not np.polyfit(places, heights, 1)[0] < 0:
         raise ValueError(
             "the closures' amplitudes do not fall with distance; check that the distances belong "

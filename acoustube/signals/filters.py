@@ -42,8 +42,14 @@ class TimeGain(NamedTuple):
 
     Attributes
     ----------
-    c1, c2, c3, c4 : float
-        Half the fall (negative), its steepness in 1/m, its middle in m, and the mean level.
+    c1 : float
+        Half the fall of the level with distance; negative.
+    c2 : float
+        Steepness of the fall in 1/m.
+    c3 : float
+        Distance l in m of the middle of the fall.
+    c4 : float
+        Level at the middle of the fall.
 
     Notes
     -----
@@ -80,6 +86,11 @@ def remove_offset(samples: ArrayLike, sampling_rate: float, cutoff: float = OFFS
     -------
     array of shape (..., time)
 
+    Raises
+    ------
+    ValueError
+        If the cut-off is not below half the sampling rate.
+
     Notes
     -----
     A cycle lasts for only a few periods of the cut-off frequency. It is therefore continued by its
@@ -111,7 +122,8 @@ def compensate(samples: ArrayLike, distance: ArrayLike, gain: TimeGain) -> Array
     Raises
     ------
     ValueError
-        If the attenuation model is not positive within the cycle.
+        If the attenuation model is not positive within the cycle, or there is not one distance for
+        each sample.
     """
     level = gain.level(distance)
     if np.shape(samples)[-1:] != level.shape[-1:]:
@@ -251,11 +263,9 @@ def low_pass(samples: ArrayLike, sampling_rate: float, cutoff: float = 10e3) -> 
 
 
 def check_cutoff(name: str, cutoff: float, sampling_rate: float) -> None:
-    """Raise unless a cut-off in Hz lies between 0 and half the sampling rate.
+    """Raise ValueError unless a cut-off in Hz lies between 0 and half the sampling rate.
 
-    Raises
-    ------
-    ValueError
+    The message calls it `name`.
     """
     if not 0 < cutoff < sampling_rate / 2:
         raise ValueError(
@@ -294,6 +304,11 @@ def envelope(pressure: ArrayLike, sampling_rate: float, cutoff: float = 10e3) ->
     array of shape (..., time)
         The envelopes, in the unit of the signal.
 
+    Raises
+    ------
+    ValueError
+        As :func:`low_pass`.
+
     Notes
     -----
     The mean of a rectified sine is ``2/pi`` of its amplitude. The result is scaled by ``pi/2``, so
@@ -313,9 +328,9 @@ def normalise(samples: ArrayLike, amplitude: ArrayLike) -> Array:
     ----------
     samples : array of shape (..., time)
         The signals.
-    amplitude : array of shape (...)
-        The amplitude that becomes 1; :func:`send_pulse` returns that of an envelope. A silent
-        cycle, whose amplitude is zero, becomes nan.
+    amplitude : float or array of shape (...)
+        The amplitude that becomes 1; :func:`send_pulse` returns that of an envelope. A signal
+        becomes nan if its amplitude is not positive, as that of a silent cycle.
 
     Returns
     -------

@@ -53,15 +53,16 @@ from acoustube.signals.time_of_flight import (
 NORMAL_MEDIAN = 1.4826
 """Standard deviation of normal numbers over the median of their absolute values."""
 NOISE_RATIO_RECTIFIED, NOISE_RATIO_MATCHED = np.sqrt(1 - 2 / np.pi), 0.78
-"""Ratio of the envelope's noise without an echo to that with one: sqrt(1 - 2 / pi) for rectified
-white noise; measured with the default matched filter (benchmarks/signals_peak_noise.py: 0.59 and
-0.83)."""
+"""Ratio of the noise of the envelope's slope without an echo to that at an echo's peak.
+
+Without matched filter it is sqrt(1 - 2 / pi), that of rectified white noise; with the default
+matched filter it is measured. benchmarks/signals_peak_noise.py finds 0.59 and 0.83."""
 SAMPLING_DEVIATION_RECTIFIED, SAMPLING_DEVIATION_MATCHED = 0.13, 0.24
-"""Standard deviation of a peak's time in samples, due to the sampled absolute value of the carrier:
-measured (benchmarks/signals_peak_noise.py: 0.11 and 0.23)."""
+"""Standard deviation of a peak's time in samples, due to the sampled absolute value of the carrier,
+without and with the matched filter. benchmarks/signals_peak_noise.py finds 0.11 and 0.23."""
 SAMPLING_DEVIATION_COMPRESSED = 0.003
-"""The same for a compressed chirp, whose envelope is a magnitude: the error of the parabola, at
-bandwidths up to 0.3 of the sampling rate."""
+"""Standard deviation of a peak's time in samples, for a compressed chirp, whose envelope is a
+magnitude: the error of the parabola, at bandwidths up to 0.3 of the sampling rate."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class Ranging:
         maximum of the envelope before the search window, after gain and matched filter, in the
         signal's unit.
     echoes : Echoes
-        All echoes found in the search window.
+        All echoes found in the search window, with amplitudes relative to the send pulse.
     return_time, amplitude : array of shape (...)
         Time in s and amplitude, relative to the send pulse, of the strongest echo. nan without
         an echo.
@@ -89,7 +90,7 @@ class Ranging:
         echo.
     distance_deviation : array of shape (...)
         Standard deviation of the distance in m due to noise and an error of the temperature; the
-        extent of the press along the tube is not included.
+        extent of the press along the tube is not included. nan without an echo.
     detected : array of bool of shape (...)
         Whether there is an echo.
     """
@@ -208,7 +209,7 @@ def process(
         Cut-off frequency in Hz; see :func:`remove_offset`. None for no removal.
     gain : TimeGain, optional
         See :func:`compensate`.
-    template : array, optional
+    template : array of shape (n,), optional
         See :func:`matched_filter`. A complex one, of :func:`chirp_template`, compresses the pulse:
         its magnitude is the envelope, with no low-pass, and gives the time of the send pulse too.
     cutoff : float
@@ -306,7 +307,7 @@ def _sent(time: Array, raw: Array, end: float, duration: float | None) -> tuple[
 
 
 def _noise_constants(template: ArrayLike | None) -> tuple[float, float]:
-    """Return the ratio of envelope noise without echo to that with one, and sampling deviation."""
+    """Return the ratio of noise without to that with an echo, and the sampling deviation."""
     if template is None:
         return NOISE_RATIO_RECTIFIED, SAMPLING_DEVIATION_RECTIFIED
     if np.iscomplexobj(template):
@@ -315,7 +316,10 @@ def _noise_constants(template: ArrayLike | None) -> tuple[float, float]:
 
 
 def _envelope(samples: Array, template: ArrayLike | None, rate: float, cutoff: float) -> Array:
-    """Return the envelope of cycles after a matched filter; with a complex one it is exact."""
+    """Return the envelope of cycles (..., time) after a matched filter, if a template is given.
+
+    With a complex template it is the magnitude, without rectifier and low-pass.
+    """
     if template is None:
         return envelope(samples, rate, cutoff)
     matched = matched_filter(samples, template)
@@ -332,7 +336,10 @@ def gain_and_match(
 
 
 def _time_deviation(time: Array, envelope: Array, peak: Array, start: float) -> Array:
-    """Return the standard deviation in s of the time of each cycle's peak, due to noise."""
+    """Return the standard deviation in s of the time of each cycle's peak, due to noise.
+
+    The noise is estimated from the envelope after the time `start`.
+    """
     slopes = np.abs(np.diff(envelope[..., int(np.searchsorted(time, start)) :], axis=-1))
     if slopes.shape[-1] == 0:
         return np.full(peak.shape, np.nan)

@@ -56,7 +56,8 @@ def send_pulse(time: ArrayLike, envelope: ArrayLike, before: float) -> tuple[Arr
     Raises
     ------
     ValueError
-        If the record has fewer than three samples before that time.
+        If the record has fewer than three samples before that time, or the last axis of the
+        envelopes is not the time.
     """
     time, envelope = np.asarray(time, dtype=float), np.asarray(envelope, dtype=float)
     _check_time(time, envelope)
@@ -103,6 +104,12 @@ def find_echoes(
     -------
     Echoes
         The peaks, times and amplitudes refined between the samples by a parabola.
+
+    Raises
+    ------
+    ValueError
+        If the last axis of the envelopes is not the time, or `start` or `stop` is neither a number
+        nor one for each envelope.
     """
     time, envelope = np.asarray(time, dtype=float), np.asarray(envelope, dtype=float)
     _check_time(time, envelope)
@@ -122,7 +129,7 @@ def find_echoes(
 
 
 def _for_each(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return a limit of the window for each envelope."""
+    """Return a limit of the search window for each envelope; raise ValueError if none fits."""
     try:
         return np.broadcast_to(np.asarray(value, float), shape)
     except ValueError as error:
@@ -132,7 +139,7 @@ def _for_each(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def _check_time(time: Array, envelope: Array) -> None:
-    """Validate that the last axis of an envelope is the time."""
+    """Raise ValueError unless the last axis of an envelope is the time."""
     if envelope.shape[-1] != time.size:
         raise ValueError(
             f"envelope has shape {envelope.shape} and time {time.shape}; the last axis of envelope "

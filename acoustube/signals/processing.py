@@ -62,8 +62,8 @@ class Processing:
 
     Raises
     ------
-    ValueError
-        If a value is not finite, or not positive where it must be.
+    ConfigError
+        If a value is outside its range.
     """
 
     frequency: float = 42e3
@@ -92,7 +92,7 @@ class Processing:
 
 @checked(settings=Processing, sampling_rate=RATE)
 def without_aliased_template(settings: Processing, sampling_rate: float) -> Processing:
-    """Return settings without matched filter where the carrier is aliased at a sampling rate.
+    """Return settings without matched filter if the carrier is aliased at a sampling rate.
 
     Parameters
     ----------
@@ -103,8 +103,9 @@ def without_aliased_template(settings: Processing, sampling_rate: float) -> Proc
     Returns
     -------
     Processing
-        `settings` where the carrier lies below the Nyquist frequency, else `settings` without the
-        matched filter. Chirps are refused by their template instead.
+        `settings` without the matched filter if the carrier is at the Nyquist frequency or above,
+        else `settings`. Those of a chirp are returned unchanged:
+        :func:`acoustube.signals.chirp_template` refuses a band that reaches the Nyquist frequency.
 
     Notes
     -----
@@ -152,7 +153,7 @@ def process_arguments(settings: Processing, rate: float) -> dict[str, Any]:
 
 
 def _template_of(settings: Processing, rate: float) -> Any:
-    """Return the matched filter's template at a sampling rate in Hz, or None."""
+    """Return the matched filter's template at a sampling rate in Hz; None without the filter."""
     if settings.bandwidth is not None:
         duration = settings.pulse_cycles / settings.frequency
         return chirp_template(

@@ -1,4 +1,4 @@
-"""The axis of an arm and the line of its radius, from two columns of markers.
+"""The axis of an arm, and its radius as a linear function along it, from two columns of markers.
 
 A column is a row of markers along the arm. Outliers are detected first, column by column, by the
 line in space with the least median of squared distances (up to almost half of the markers may be
@@ -37,7 +37,7 @@ MOST_PAIRS = 3000
 OUTLIER_DEVIATIONS = 4.5
 """Standard deviations from its column's line beyond which a marker is an outlier (1 in 25 000)."""
 SMALLEST_DEVIATION = 0.2e-3
-"""Smallest standard deviation of markers in m; a marker nearer to its line is no outlier."""
+"""Lower bound of the estimated standard deviation of a marker from its column's line, in m."""
 RADIUS_RANGE = 0.01, 0.3
 """Plausible range of an arm's radius in m."""
 LENGTH_RANGE = 0.03, 1.5
@@ -48,14 +48,14 @@ MIN_MARKERS = 3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Line:
-    """The radius r(z) = a0 + a1 z, as fitted.
+    """Fitted line r(z) = a0 + a1 z of an arm's radius along its axis.
 
     Attributes
     ----------
     radius, taper : float
-        a0 in m and a1.
+        a0 in m, and a1 in m of radius per m along the axis.
     covariance : ndarray
-        Of the two, (2, 2).
+        Covariance matrix of a0 and a1, (2, 2).
     freedom : int
         Degrees of freedom of the fit.
     deviation : float
@@ -81,7 +81,8 @@ class Arm:
     Attributes
     ----------
     frame : Frame
-        Its z runs from the first marker of the first column to the last.
+        If the axis was fitted, z increases from the first marker of the first column to its last;
+        otherwise z is that of the coordinates. z is 0 at the lowest marker that was used.
     lines : tuple of Line
         Fitted radius at each column; the same line twice where the axis was fitted too.
     angles : tuple of float
@@ -89,7 +90,7 @@ class Arm:
     length : float
         Extent of the markers along the axis in m, from z = 0.
     kept : tuple of ndarray of bool
-        Mask of the markers of each column that were used (inliers).
+        Mask of the markers of each column that were used (inliers), (n,) as the column.
     """
 
     frame: Frame
@@ -113,8 +114,8 @@ def fit_arm(first: ArrayLike, second: ArrayLike, *, axis: str = "fitted") -> Arm
         Coordinates in m, (n, 3) each, in order along the arm; gaps are nan.
     axis : str
         ``fitted``: the columns lie on opposite sides of the arm, and the axis is midway between
-        them; one line of the radius holds for both. ``z``: the axis is the z axis of the
-        coordinates, as in the sleeve paper, and each column has a line of its own.
+        them; one line of the radius is fitted to both. ``z``: the axis is the z axis of the
+        coordinates, as in the sleeve paper, and a line of the radius is fitted to each column.
 
     Returns
     -------
@@ -123,8 +124,9 @@ def fit_arm(first: ArrayLike, second: ArrayLike, *, axis: str = "fitted") -> Arm
     Raises
     ------
     ConfigError
-        If a column has fewer than three markers, does not run along the arm, lies on the other, is
-        mixed up with it, or is too short or too long for an arm.
+        If a column has fewer than three markers, does not run along the arm, or is too short or too
+        long for an arm; if markers are assigned to the wrong column, or both columns are on one
+        line; or if the fitted radius is not that of an arm.
 
     Notes
     -----
@@ -152,7 +154,7 @@ def fit_arm(first: ArrayLike, second: ArrayLike, *, axis: str = "fitted") -> Arm
 
 
 def _arm(first: Any, second: Any, used: list[Array], frame: Frame, lines: Any) -> Arm:
-    """Return the arm, with z = 0 moved to the first marker."""
+    """Return the arm, with z = 0 moved to the lowest of the markers used."""
     own = [frame.inwards(points) for points in used]
     heights = np.concatenate([points[:, 2] for points in own])
     start, end = float(heights.min()), float(heights.max())
@@ -179,7 +181,7 @@ def _arm(first: Any, second: Any, used: list[Array], frame: Frame, lines: Any) -
 
 
 def _flags(points: Any, used: Array) -> Kept:
-    """Return a mask of the given markers that were used."""
+    """Return the mask of the markers of a column (n, 3) that are among those used."""
     points = np.asarray(points, float)
     return np.array([bool(np.any(np.all(used == point, axis=1))) for point in points])
 
@@ -256,9 +258,9 @@ def _radius_line(points: Array) -> Line:
 
 
 def _line(values: Array, jacobian: Array, residuals: Array) -> Line:
-    """Return the line r = radius + taper z, the last two fitted parameters, with covariance.
+    """Return the radius line of a least-squares fit: its last two parameters are a0 and a1.
 
-    Residuals are in m, (n,), and the Jacobian is theirs, (n, n_parameters).
+    Residuals are in m, (n,). Their Jacobian is (n, n_parameters), of any sign.
     """
     freedom = len(residuals) - len(values)
     variance = float(residuals @ residuals) / freedom
@@ -276,7 +278,7 @@ def _fit_axis(columns: list[Array], direction: Array) -> tuple[Frame, Line]:
     """Fit axis and radius together; the frame's x points to the first column."""
     first, second = columns
     middles = [points.mean(axis=0) for points in columns]
-    # Both middles at the same height, since the columns need not begin side by side.
+    # Without the part along the axis, since the columns need not begin side by side.
     across = middles[0] - middles[1]
     across = across - (across @ direction) * direction
     size = float(np.linalg.norm(across))
@@ -287,7 +289,7 @@ def _fit_axis(columns: list[Array], direction: Array) -> tuple[Frame, Line]:
         )
     x = across / size
     start = np.stack([x, np.cross(direction, x), direction], axis=1)
-    # Middle of both, as heights along the axis of the whole.
+    # Heights along the axis count from the point midway between the columns' middles.
     origin = 0.5 * (middles[0] + middles[1])
     scale = np.concatenate([np.full(2, size), np.ones(3), [size, 1.0]])
     sides = np.concatenate([np.ones(len(first)), -np.ones(len(second))])
@@ -340,7 +342,7 @@ def _check_units(columns: list[Array]) -> None:
 
 
 def _check_mixed(columns: list[Array], lines: list[tuple[Array, Array, float, Kept]]) -> None:
-    """Raise if markers of a column lie on the other column's line."""
+    """Raise if both columns lie on one line, or markers of one lie on the line of the other."""
     (p, u, _, _), (q, v, _, _) = lines
     between = np.linalg.norm((p - q) - ((p - q) @ u) * u)
     if between < 2 * RADIUS_RANGE[0] and abs(u @ v) > 0.95:

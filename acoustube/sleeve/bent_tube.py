@@ -24,18 +24,23 @@ from acoustube.waves import Bent, PlacedScatterer, joined_bends
 from acoustube.waves.scattering import ModalScattering
 
 HIGHEST_WAVENUMBER = 6.0
-"""Largest j'mn of the modes in a bend; with 10 the scattering of a loop changes by 1.4e-3."""
+"""Largest transverse wavenumber j'mn, times the bore's radius, of the modes in a bend.
+
+With 10 instead, the scattering of a loop changes by 1.4e-3.
+"""
 LONGEST_PART = np.pi
-"""Largest angle about the arm over which curvature and torsion are taken as constant."""
+"""Largest angle in rad about the arm over which curvature and torsion are taken as constant."""
 CLEARANCE = 1e-9
-"""Length in m of straight tube at either end of a bend, so that rounding does not make elements
-overlap."""
+"""Length in m of straight tube at either end of a bend, so that rounding does not make bends and
+presses overlap."""
 SHORTEST_BEND = 1e-3
 """Length of tube in m below which no bend is computed."""
 LONGEST_DELAY = 1.0
-"""Largest delay of the plane wave in a bend, relative to the period of the impulse response that
-the steps of frequency resolve. The interpolation removes this delay; higher modes are slower by a
-factor of up to two."""
+"""Largest delay of the plane wave in a bend, times the step of frequency.
+
+Interpolation between frequencies removes this delay; higher modes are slower by a factor of up to
+two. The inverse of the step is the period of the impulse response that the frequencies resolve.
+"""
 
 
 def winding(
@@ -49,7 +54,7 @@ def winding(
     modes: Sequence[str],
     tube: Tube | None = None,
 ) -> PlacedScatterer:
-    """Return a part of a wrapped tube as one bend.
+    """Return the scattering of a part of a wrapped tube, computed as one bend.
 
     Parameters
     ----------
@@ -70,6 +75,11 @@ def winding(
         the bore stays round. The ovality at the helix's middle is used throughout, since steps of
         it would cause echoes.
 
+    Returns
+    -------
+    PlacedScatterer
+        The bend, placed at the middle of the part.
+
     Raises
     ------
     ConfigError
@@ -78,11 +88,11 @@ def winding(
     Notes
     -----
     Curvature and torsion are taken as constant over each half turn. The half turns are the same
-    wherever presses lie, so that the weak echoes of the steps between them are those of the
-    untouched tube. The parts are joined with all their modes, evanescent ones too. Over 1.1 m,
-    parts a quarter as long change the coefficients by 3e-3 at most. Interpolation between
-    frequencies changes the coefficient of the plane wave by less than 1e-4 and those of (1,1) by
-    1e-3, or by 1e-2 in the first kHz above a cut-on.
+    wherever presses lie, so that the steps from one half turn to the next cause the same weak
+    echoes as in the untouched tube. The parts are joined with all their modes, evanescent ones too.
+    Over 1.1 m, parts a quarter as long change the coefficients by 3e-3 at most. Interpolation
+    between frequencies changes the coefficient of the plane wave by less than 1e-4 and those of
+    (1,1) by 1e-3, or by 1e-2 in the first kHz above a cut-on.
     """
     ends = helix.height([start, stop])
     if not (np.all(np.isfinite(ends)) and stop > start):
@@ -107,7 +117,7 @@ def winding(
 
 
 def _fine_enough(frequency: Array, delay: float) -> Array:
-    """Return evenly spaced frequencies, refined if a delay in s requires smaller steps."""
+    """Return evenly spaced frequencies in Hz, refined if a delay in s requires smaller steps."""
     if len(frequency) < 2:
         return frequency
     times = ceil(delay * (frequency[1] - frequency[0]) / LONGEST_DELAY)
@@ -141,7 +151,14 @@ def windings(
     Returns
     -------
     list of PlacedScatterer
-        The bends alone. They hold for any presses from :func:`between_bends` at these positions.
+        The bends alone, in order of distance. They can be combined with any presses returned by
+        :func:`between_bends` at these positions and for this `reach`.
+
+    Raises
+    ------
+    ConfigError
+        If presses are nearer to each other than twice the reach or not in order, a part between
+        them is not on the helix, or the tube would kink.
     """
     at = np.asarray(places, float)
     if np.any(np.diff(at) < 2 * reach):
@@ -168,13 +185,13 @@ def wrapped(
     reach: float,
     tube: Tube | None = None,
 ) -> list[PlacedScatterer]:
-    """Return presses with the bends before, between and behind them.
+    """Return the bends of a wrapped tube before, between and behind presses, and the presses.
 
     Parameters
     ----------
     helix : Helix
     presses : sequence of PlacedScatterer
-        One or more, on the helix, computed over the same band.
+        One or more, on the helix, computed over the same band and with the same modes.
     air : Air
     radius : float
         Of the bore in m.
@@ -193,8 +210,8 @@ def wrapped(
     Raises
     ------
     ConfigError
-        If there is no press, one is not on the helix, or two are nearer to each other than twice
-        the reach.
+        If there is no press, one is not on the helix, two are nearer to each other than twice the
+        reach, or the tube would kink.
     """
     if not presses:
         raise ConfigError("no press gives the frequency band; use windings() for the tube alone")
@@ -207,20 +224,20 @@ def wrapped(
 
 
 def between_bends(press: PlacedScatterer, reach: float) -> PlacedScatterer:
-    """Return a press with the form that it needs between the bends of a wrapped tube.
+    """Return a press cut to its reach and extended by antisymmetric modes, for use between bends.
 
     Parameters
     ----------
     press : PlacedScatterer
-        Of a straight tube.
+        Press of a straight tube.
     reach : float
         See :func:`wrapped`.
 
     Returns
     -------
     PlacedScatterer
-        Its deformed part is limited to the reach. Antisymmetric modes that the press lacks, since
-        it is symmetric about x = 0 and has their symmetric partners alone, pass it unscattered.
+        The press, whose extent is the reach on each side. A press that is symmetric about x = 0 has
+        symmetric modes alone; their antisymmetric partners are added, and pass it unscattered.
     """
     matrix = press.scattering
     names = with_antisymmetric(matrix.modes)
@@ -240,12 +257,12 @@ def between_bends(press: PlacedScatterer, reach: float) -> PlacedScatterer:
 
 
 def with_antisymmetric(modes: Sequence[str]) -> tuple[str, ...]:
-    """Return names of modes, and of the antisymmetric partners of the symmetric modes among them.
+    """Return modes followed by the antisymmetric partners of the symmetric modes among them.
 
     Parameters
     ----------
     modes : sequence of str
-        Such as ``00``, ``11c``, ``21s``.
+        Names of modes, such as ``00``, ``11c``, ``21s``.
     """
     partners = [f"{name[:-1]}s" for name in modes if name.endswith("c")]
     return (*modes, *(name for name in partners if name not in modes))

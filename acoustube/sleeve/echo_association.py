@@ -18,14 +18,14 @@ SIDE_LOBE_DISTANCE = 0.10
 TRAPPED_SOUND_DISTANCE = 0.18
 """Largest distance behind a press at which trapped sound appears, in m."""
 SECOND_PRESS_RATIO = 2.0
-"""Least amplitude of another press within that distance, relative to the nearer press."""
+"""Least amplitude of a press within `TRAPPED_SOUND_DISTANCE` behind another, relative to that."""
 MULTIPLE_REFLECTION_TOLERANCE = 0.04
 """Tolerance of the distance of a multiple reflection between two presses, in m."""
 
 
 @checked(places=GAPS, heights=GAPS)
 def remove_ghost_echoes(places: ArrayLike, heights: ArrayLike) -> Array:
-    """Remove the echoes of a cycle that are caused by another contact of the cycle.
+    """Remove ghost echoes: echoes of a cycle that another contact of the cycle causes.
 
     Parameters
     ----------
@@ -43,8 +43,8 @@ def remove_ghost_echoes(places: ArrayLike, heights: ArrayLike) -> Array:
     In the order of distance, an echo is removed if it is
 
     1. a side lobe of the low-pass filter: under 12 % of an echo less than 10 cm away;
-    2. trapped sound: less than 18 cm behind a press and not twice as high, since sound trapped
-       near a deep press leaks out as much as 1 ms late;
+    2. trapped sound: less than 18 cm behind the last echo that was kept, and under twice as high,
+       since sound trapped near a deep press leaks out as much as 1 ms late;
     3. a multiple reflection: from a press b to a nearer press a and to b again, which arrives from
        the distance 2 b - a, and is lower than the echo of b.
 

@@ -32,6 +32,7 @@ QUADRATURE_NODES = 41
 REFINEMENTS = 8
 """Newton steps towards the foot of a perpendicular; five reach a micrometre on a forearm."""
 HANDS = {"right": 1, "left": -1}
+"""Sign of the twist rate of a helix by its hand."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,8 +87,8 @@ class Helix:
     Raises
     ------
     ConfigError
-        If a size is not positive or not finite, the cone's apex lies on the arm, there are no
-        loops, or the hand is not `right` or `left`.
+        If `length`, `loops` or the radius at either end is not positive, `lead` is negative, `hand`
+        is not ``right`` or ``left``, or `intervals` is under 2.
     """
 
     radius: float
@@ -150,19 +151,19 @@ class Helix:
         return np.stack([z, np.concatenate([[0.0], np.cumsum(steps)])])
 
     def radius_at(self, z: ArrayLike) -> Array:
-        """Return r(z) in m."""
+        """Return the distance r(z) in m of the centre line from the axis, at heights z in m."""
         return self.radius + self.taper * np.asarray(z, float)
 
     def density(self, z: ArrayLike) -> Array:
-        """Return l'(z), the length of tube per m of the axis."""
+        """Return l'(z), the length of tube per m of the axis, at heights z in m."""
         return np.sqrt(1 + self.taper**2 + (self.twist * self.radius_at(z)) ** 2)
 
     def angle(self, z: ArrayLike) -> Array:
-        """Return psi(z) in rad."""
+        """Return the angle psi(z) in rad of the centre line about the axis, at heights z in m."""
         return self.phase + self.twist * np.asarray(z, float)
 
     def point(self, z: ArrayLike) -> Array:
-        """Return h(z) in the coordinates of the arm, (..., 3), in m."""
+        """Return the points h(z) of the centre line in the arm's coordinates, (..., 3), in m."""
         z, r, psi = np.asarray(z, float), self.radius_at(z), self.angle(z)
         return np.stack([r * np.cos(psi), r * np.sin(psi), z], axis=-1)
 
@@ -201,7 +202,10 @@ class Helix:
         return self.frame.outwards(self.point(self.height(distance)))
 
     def distance(self, z: ArrayLike) -> Array:
-        """Return the distances in m from the sensor to points at heights z in m."""
+        """Return the distances in m along the tube from the sensor to points at heights z in m.
+
+        Heights beyond an end of the helix give the distance of that end.
+        """
         return self.lead + np.interp(np.asarray(z, float), *self.table)
 
     def bend(self, z: ArrayLike) -> tuple[Array, Array]:
@@ -210,7 +214,12 @@ class Helix:
         Parameters
         ----------
         z : array_like
-            Heights in m.
+            Heights in m, (...).
+
+        Returns
+        -------
+        curvature, torsion : ndarray
+            (...) in 1/m; the torsion of a left-handed helix is negative.
 
         Notes
         -----
@@ -233,14 +242,16 @@ class Helix:
         Returns
         -------
         mean : ndarray
-            (..., 3) in m, in the coordinates of the markers.
+            Mean positions, (..., 3) in m, in the coordinates of the markers.
         covariance : ndarray
-            (..., 3, 3) in m2. Distances beyond the helix are set to its end.
+            Covariance matrices of the positions, (..., 3, 3) in m2. Both are nan where `distance`
+            lies in the lead or beyond the helix.
 
         Notes
         -----
         Gauss-Hermite quadrature along the tube is used, not linearisation, since a standard
-        deviation of 5 cm is a fifth of a loop around a forearm.
+        deviation of 5 cm is a fifth of a loop around a forearm. Nodes of the quadrature beyond an
+        end of the helix are moved to that end.
         """
         nodes, weights = np.polynomial.hermite_e.hermegauss(QUADRATURE_NODES)
         weights = weights / weights.sum()
@@ -256,7 +267,7 @@ class Helix:
 
 @dataclass(frozen=True, eq=False)
 class Nearest:
-    """Nearest tubes of positions on the skin.
+    """Tubes nearest to positions on the skin.
 
     Attributes
     ----------
@@ -267,8 +278,8 @@ class Nearest:
     gap : ndarray
         Distance from the position to that tube's centre line in m, (...).
     next_tube, next_distance, next_gap : ndarray
-        The same for the second nearest loop, of any tube. A press midway between both may be
-        detected on either. nan, and -1 for the tube, where there is no other loop.
+        The same for the second nearest loop, of the same or another tube. A press midway between
+        two loops may be detected on either. -1, nan and nan where there is no second loop.
     """
 
     tube: NDArray[np.int64]
@@ -288,7 +299,8 @@ def nearest(tubes: Sequence[Helix], places: ArrayLike) -> Nearest:
     tubes : sequence of Helix
         One or more.
     places : array_like
-        In the coordinates of the markers, (..., 3), in m.
+        Positions in the coordinates of the markers, (..., 3), in m. Where a coordinate is nan,
+        distances and gaps are nan.
 
     Returns
     -------
@@ -297,7 +309,7 @@ def nearest(tubes: Sequence[Helix], places: ArrayLike) -> Nearest:
     Raises
     ------
     ConfigError
-        If there is no tube, or places are not in three dimensions.
+        If there is no tube, or the last axis of `places` is not of length 3.
 
     Notes
     -----
@@ -332,7 +344,10 @@ def nearest(tubes: Sequence[Helix], places: ArrayLike) -> Nearest:
 
 
 def _feet(tube: Helix, places: Array) -> tuple[Array, Array]:
-    """Return heights z of the perpendiculars' feet on each loop, and gaps, both (..., loop)."""
+    """Return the heights of the feet of perpendiculars onto each loop, and the gaps, (..., loop).
+
+    Places are in the coordinates of the arm, (..., 3); all lengths are in m.
+    """
     x, y, height = (places[..., i, None] for i in range(3))
     angle = np.arctan2(y, x) - tube.phase
     # Candidate loops at this angle, with one more at each end.

@@ -24,9 +24,9 @@ from acoustube.sleeve.helix import Helix, nearest
 DEAD_ZONE = 0.15
 """Distance in m within which the send pulse masks every echo, as in the sleeve paper."""
 REACH = 2.5
-"""Largest distance in m of a detected press: the sleeve paper's tube, and EchoTube's of 8 mm."""
+"""Largest distance in m of a detected press, for the sleeve paper's and EchoTube's 8 mm tube."""
 LEAD = 0.15
-"""Length in m of the lead, the tube before the sleeve: the dead zone, as in the sleeve paper."""
+"""Length in m of the lead, the tube before the sleeve; equal to the dead zone, as in the paper."""
 OUTER_DIAMETER = 11.1e-3
 """Outer diameter of the sleeve paper's tube in m."""
 N_TUBES = 2
@@ -59,15 +59,16 @@ class Layout:
     within : float
         Half width of the skin covered by a tube in m.
     coverage : float
-        Fraction of the skin nearer than `within` to a part of a tube in its detection range.
+        Fraction of the skin whose nearest point on a tube is at most `within` away, and in the
+        detection range of that tube.
     blind : float
-        Fraction of the skin where the nearest tube is in its dead zone or beyond its reach.
+        Fraction of the skin whose nearest point on a tube is in the dead zone or beyond the reach.
     deviation : float
         Standard deviation of a distance in m.
     patch_area : float
         Area in m2 that is resolved: two standard deviations along the tube times the spacing.
     patches : float
-        Number of such areas on the skin where presses are detected.
+        Number of resolved areas (`patch_area`) on the part of the skin that is not blind.
     """
 
     tube_lengths: Array
@@ -107,7 +108,7 @@ def wound(
     lead: float = LEAD,
     length: float | None = None,
 ) -> list[Helix]:
-    """Wind tubes around an arm that was fitted to markers.
+    """Return the helices of tubes wound around an arm that was fitted to markers.
 
     Parameters
     ----------
@@ -116,9 +117,10 @@ def wound(
         Number of turns of each tube over the length.
     n_tubes : int
         Number of tubes. One or two start at the angles of the columns of markers; more are spaced
-        evenly, starting at the first column.
+        evenly, starting at the first column. Each of two tubes has the radius fitted to its own
+        column; one tube, or three and more, that of the first column.
     phase : float
-        Angle in rad that is added to these angles.
+        Angle in rad that is added to the angles at which the tubes start.
     hand : str
         ``right`` or ``left``.
     lead : float
@@ -129,6 +131,11 @@ def wound(
     Returns
     -------
     list of Helix
+
+    Raises
+    ------
+    ConfigError
+        If an argument is out of range; see :class:`~acoustube.sleeve.helix.Helix`.
     """
     starts = [arm.angles[0] + 2 * pi * i / n_tubes for i in range(n_tubes)]
     if n_tubes <= 2:
@@ -173,16 +180,16 @@ def design(
     outer_diameter: float = OUTER_DIAMETER,
     reach: float = REACH,
 ) -> list[Helix]:
-    """Wind tubes around a forearm of given sizes.
+    """Return the helices of tubes wound around a forearm of given length and circumferences.
 
     Parameters
     ----------
     length : float
         Length of the sleeve along the arm in m.
     girths : tuple of float
-        Circumference of the arm at the end near the sensors, and at the other, in m.
+        Circumference of the arm in m at the end near the sensors, and at the far end.
     loops, pitch : float
-        Number of turns over the length, or advance per turn in m: one of the two.
+        Number of turns over the length, or advance per turn in m. Exactly one must be given.
     n_tubes : int
         Number of tubes, wound side by side at even angles.
     phase : float
@@ -203,7 +210,8 @@ def design(
     Raises
     ------
     ConfigError
-        If a tube is longer than the reach, or the tubes do not fit side by side.
+        If not exactly one of `loops` and `pitch` is given, an argument is out of range, a tube with
+        its lead is longer than the reach, or the tubes do not fit side by side.
     """
     if (loops is None) == (pitch is None):
         raise ConfigError("a layout needs loops or a pitch, one of the two; give --loops 9, say")
@@ -234,7 +242,7 @@ def design(
 
 @checked(tubes=Several(Helix, 1), reach=LENGTH)
 def check_reach(tubes: Sequence[Helix], reach: float) -> None:
-    """Raise ConfigError if a tube is longer than the sensor's reach."""
+    """Raise ConfigError if a tube with its lead is longer than the sensor's reach in m."""
     longest = max(tubes, key=lambda tube: tube.tube_length)
     if longest.tube_length > reach:
         fitting = longest.loops * (reach - longest.lead) / (longest.tube_length - longest.lead)
@@ -249,7 +257,7 @@ def check_reach(tubes: Sequence[Helix], reach: float) -> None:
 
 @checked(tubes=Several(Helix, 1), outer_diameter=LENGTH)
 def check_room(tubes: Sequence[Helix], outer_diameter: float) -> None:
-    """Raise ConfigError if tubes overlap."""
+    """Raise ConfigError if the spacing of tubes is under their outer diameter in m."""
     room = spacing(tubes)
     if room < outer_diameter:
         raise ConfigError(
@@ -261,7 +269,10 @@ def check_room(tubes: Sequence[Helix], outer_diameter: float) -> None:
 
 @checked(tubes=Several(Helix, 1))
 def spacing(tubes: Sequence[Helix]) -> float:
-    """Return the distance in m between neighbouring tubes, across them, at the sleeve's middle."""
+    """Return the distance in m between neighbouring tubes, across them, at the sleeve's middle.
+
+    All tubes are taken to have the shape of the first, and to be spaced evenly.
+    """
     tube = tubes[0]
     along = float(np.hypot(1, tube.taper) / tube.density(tube.length / 2))
     around = float(abs(tube.twist) * tube.radius_at(tube.length / 2)) * along
@@ -282,7 +293,7 @@ def layout(
     Parameters
     ----------
     tubes : sequence of Helix
-        Tubes around the same arm.
+        Tubes around the same arm. Spacing and skin are computed from the shape of the first.
     dead_zone, reach : float
         Start and end of the detection range along a tube, in m.
     within : float
@@ -296,8 +307,8 @@ def layout(
 
     Notes
     -----
-    The skin is the cone on which the centre lines lie, between the ends of the sleeve; distances
-    to a tube are straight ones. Areas are sums over evenly spread points.
+    The skin is the cone on which the centre line of the first tube lies, between the ends of the
+    sleeve; distances to a tube are straight ones. Areas are sums over evenly spread points.
     """
     tube = tubes[0]
     places, weights = _skin(tube)
@@ -329,7 +340,7 @@ def layout(
 
 
 def _skin(tube: Helix) -> tuple[Array, Array]:
-    """Return quadrature points on the skin, (n, 3) in the arm's coordinates, and their areas."""
+    """Return points on the skin in the arm's coordinates in m, (n, 3), and their areas in m2."""
     n = SKIN_PLACES
     z = (np.arange(n) + 0.5) * tube.length / n
     # Golden angle, so that no row of points follows a loop, as it might on a grid.

@@ -14,7 +14,7 @@ from acoustube.base.rules import Number
 from acoustube.tube import Tube
 
 COLLAPSE = 2 / 9
-"""Ovality at which a long thin tube kinks, by the same reference."""
+"""Relative decrease of the mean radius in the plane of a bend at which a long thin tube kinks."""
 
 
 @checked(tube=Tube, curvature=Number(-1e6, 1e6, "1/m"))
@@ -30,7 +30,7 @@ def ovality(tube: Tube, curvature: float) -> float:
     Returns
     -------
     float
-        Relative decrease; across the bend the radius increases by the same amount.
+        Relative decrease. Perpendicular to the plane the radius increases by the same amount.
 
     Raises
     ------

@@ -1,9 +1,10 @@
 """Tracking of several contacts over cycles, from the candidate echoes of one or both ends.
 
-Each contact has a place and a speed along one coordinate, the tube's, or the arm's where a hand
-swipes across loops. Candidates are assigned to contacts with the least total distance, in
-standard deviations, within a gate (global nearest neighbour). An unassigned candidate starts a
-tentative contact, which is confirmed after a number of detections and deleted after misses.
+Each contact has a place and a speed along one coordinate: the distance along the tube or, where a
+hand swipes across loops, the height along the arm. Candidates are assigned to contacts so that the
+sum of squared distances, in standard deviations, is least; pairs beyond a gate are not assigned
+(global nearest neighbour). A candidate outside all gates starts a tentative contact, which is
+confirmed after a number of detections and deleted after a number of misses.
 
 References
 ----------
@@ -37,13 +38,13 @@ class TrackingSettings:
     deviation : float
         Standard deviation of a candidate's place in m.
     acceleration : float
-        Standard deviation of a contact's acceleration over a cycle, in m/s2.
+        Standard deviation of a contact's acceleration, which is constant between cycles, in m/s2.
     speed : float
         Standard deviation of a contact's initial speed, in m/s.
     gate : float
-        Standard deviations beyond which a candidate is not assigned to a contact.
+        Distance, in standard deviations, beyond which a candidate is not assigned to a contact.
     hits : int
-        Number of cycles with a candidate after which a contact is confirmed.
+        Number of cycles with an assigned candidate after which a contact is confirmed.
     misses : int
         Number of consecutive cycles without a candidate after which a contact is deleted; a
         tentative one is deleted after two.
@@ -51,7 +52,7 @@ class TrackingSettings:
     Raises
     ------
     ConfigError
-        If one of them is not positive.
+        If a setting is not positive, or `hits` or `misses` is not a whole number.
     """
 
     deviation: float = 0.01
@@ -127,11 +128,11 @@ class ContactTracker:
         Parameters
         ----------
         time : float
-            Of the cycle in s, later than that of the previous cycle.
+            Time of the cycle in s, later than that of the previous cycle.
         near : array_like
             Places of the near sensor's candidates in m, any number of them; nan is ignored.
         far : array_like
-            Distances in m, from the far end, of the candidates of a sensor there.
+            Distances of the far sensor's candidates in m, from the far sensor; nan is ignored.
 
         Returns
         -------

@@ -3,10 +3,10 @@
 Reading order: the packages `grid` (lumens as cut cells), `scheme` (the leapfrog scheme, its time
 step, losses and absorbing layers) and `modes` (duct modes and probes); then `propagation`
 (recordings of a pulse), `port_waves` and `scattering` (scattering matrices of lumens), `spectral`
-(the same in the frequency domain), `bends` (scattering matrices of bends), `network` (tubes
-combined from scattering matrices) and `budget` (the errors of a run). `bends` uses `bent_modes`;
-`network` uses `star_product`, `interpolation` (of scattering matrices over frequency) and
-`network_checks`.
+(such matrices by a solver in the frequency domain), `bends` (scattering matrices of bends),
+`network` (tubes combined from scattering matrices) and `budget` (the errors of a run). `bends` uses
+`bent_modes`; `network` uses `star_product`, `interpolation` (of scattering matrices over frequency)
+and `network_checks`.
 """
 
 from acoustube.base.moved import renamed

@@ -56,9 +56,9 @@ from acoustube.waves.scattering import ModalScattering, PlaneWave
 from acoustube.waves.star_product import star_product
 
 LARGEST_ZERO = 10.0
-"""Largest j'mn of the modes in the sums. With 14 the scattering by the bends of a tube wrapped as
-in the sleeve paper ("Wearable, Fabric-Embedded Acoustic Waveguides for Meter-Scale Contact
-Localization and Force Sensing") changes by 1e-5."""
+"""Largest j'mn, zero of a Bessel function's derivative, of the modes in the sums. With 14 the
+scattering by the bends of a tube wrapped as in the sleeve paper ("Wearable, Fabric-Embedded
+Acoustic Waveguides for Meter-Scale Contact Localization and Force Sensing") changes by 1e-5."""
 SLICE_EXPONENT = 0.5
 """Largest growth exponent of the most evanescent mode over a slice."""
 CUT_ON_MARGIN = 1e-6
@@ -89,7 +89,7 @@ class Bent:
     Raises
     ------
     ConfigError
-        If the length is not positive, or the curvature negative.
+        If the length is outside 1e-9 to 100 m, the curvature negative, or the ovality beyond 1.
     """
 
     length: float
@@ -152,13 +152,13 @@ def bend(
     Returns
     -------
     ModalScattering
-        Power-normalised, with a reference plane at either end; positions refer to its middle.
+        Power-normalised, with a reference plane at either end; the position is the bend's middle.
 
     Raises
     ------
     ConfigError
-        If a size is not positive, the bend is too sharp, the frequencies do not increase, or a mode
-        is not among those computed.
+        If a size is not positive, the bend is too sharp, the frequencies do not increase, `highest`
+        is too low for them, or a mode is not among those computed.
 
     Notes
     -----
@@ -197,12 +197,13 @@ def joined_bends(
     air, frequency, radius, lossy, modes, highest
         See :func:`bend`.
     parts : sequence of Bent
-        From port 1 to port 2. The normal, towards the centre of curvature, is continuous.
+        In their order along the tube, of curvatures below 1 / `radius`, which is not checked. The
+        normal, towards the centre of curvature, is continuous.
 
     Returns
     -------
     ModalScattering
-        See :func:`bend`.
+        See :func:`bend`, also for the errors that are raised.
     """
     frequency = np.atleast_1d(np.asarray(frequency, float))
     _check_sound(frequency, radius, highest, air)
@@ -298,7 +299,7 @@ def _check_length(angle: float, bend_radius: float) -> None:
 
 def _check_sound(frequency: Array, radius: float, highest: float, air: Air) -> None:
     """Validate that the frequencies increase, and that the modes suffice for the highest."""
-    if frequency.ndim != 1 or not (frequency[0] > 0 and np.all(np.diff(frequency) > 0)):
+    if frequency.ndim != 1 or not np.all(np.diff(frequency, prepend=0.0) > 0) or not frequency.size:
         raise ConfigError("frequency must be positive and increasing; give a 1-D array in Hz")
     if 2 * pi * frequency[-1] * radius / air.sound_speed > 0.8 * highest:
         raise ConfigError(

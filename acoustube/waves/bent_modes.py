@@ -8,9 +8,9 @@ line rotated by half a turn about its normal is the same line, in the opposite d
 reciprocity p_i Q v_j + v_i Q p_j is zero for two different modes i and j; they are normalised to
 p_i Q v_i = 1, which is the value for a straight mode of unit power.
 
-Where a bent bore continues straight, pressure and axial velocity are continuous, so that the
-coefficients of both are equal on both sides. All modes in the sums are included, evanescent ones
-too.
+Where a bent bore continues straight, pressure and axial velocity are continuous. As sums of the
+straight bore's modes, each has therefore equal coefficients on both sides. All modes in the sums
+are included, evanescent ones too.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ from acoustube.waves.modes.grid_modes import mode_numbers, wavenumbers
 from acoustube.waves.port_waves import Complex
 
 LARGEST_ZERO = 4.5
-"""Largest j'mn of the modes in the sums. With 8 the wavenumbers of (0,0) and (1,1) in the sleeve
-paper's tube at 42 kHz change by 0.02 per metre at most."""
+"""Largest j'mn, zero of a Bessel function's derivative, of the modes in the sums. With 8 the
+wavenumbers of (0,0) and (1,1) in the sleeve paper's tube at 42 kHz change by 0.02 per metre at
+most."""
 PREFERRED = 1e-6
 """Weight of the real part of the wavenumber, relative to the imaginary part, in the choice of
 forward waves: it decides among waves that do not decay."""
@@ -62,9 +63,9 @@ class BentModes:
     symmetry : ndarray
         Signs of the symmetry of the straight bore's N modes about the plane of the bend, (N,).
     signs : ndarray
-        The same signs of the straight modes at the joint, (m_s,). At the other end of a straight
-        bore, where it becomes bent again, the transmission is ``passed.T * signs``, and the
-        reflection is ``returned`` times the signs of both modes.
+        Signs `symmetry` of the m_s straight modes at the joint, (m_s,). At the other end of a
+        straight bore, where it becomes bent again, the transmission is ``passed.T * signs``, and
+        the reflection is ``returned`` times the signs of both modes.
     """
 
     wavenumber: Complex
@@ -76,7 +77,7 @@ class BentModes:
     signs: Array
 
     def aligned(self, other: BentModes) -> BentModes:
-        """Return the modes in the order and with the signs of those of a neighbouring curvature.
+        """Return these modes with the order and the signs of the modes of a neighbouring curvature.
 
         Parameters
         ----------
@@ -135,14 +136,15 @@ def bent_modes(
     radius : float
         Bore radius in m.
     modes : sequence of str
-        The m_s straight modes at the joint, power-normalised; zero below cut-on.
+        Names of the m_s straight modes at the joint, as ``11c``. Their coefficients are
+        power-normalised, and zero below cut-on.
     count : int
         Number m of bent modes.
 
     Raises
     ------
     ConfigError
-        If a mode is not among those in the sums.
+        If a mode is not among those in the sums, or `count` is larger than their number.
     """
     bore = bore_modes(LARGEST_ZERO)
     place = mode_places(modes, bore)

@@ -38,7 +38,7 @@ class Budget:
     Attributes
     ----------
     cells_per_wavelength : float
-        At the highest frequency of the pulse's band.
+        Wavelength over the largest cell size, at the highest frequency of the pulse's band.
     delay_bias : float
         Relative error of the plane wave's group delay at the carrier, due to the grid's dispersion.
     section_error : float
@@ -61,7 +61,7 @@ class Budget:
     ringing: float
 
     def in_words(self, path: float) -> str:
-        """Return the error budget as a sentence, for the length of an echo's path in m."""
+        """Return the error budget as a sentence, for an echo's path in m, there and back."""
         absorbing = (
             f"an absorbing end returns under {PLANE_WAVE_REFLECTION:.0f} dB of the plane wave, "
             f"{self.absorption:.0f} dB of a mode 1 % over its cut-on; "

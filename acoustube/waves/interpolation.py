@@ -41,8 +41,9 @@ DEGREE = 5
 on a bore of 9 mm and from 0.5 to 8 kHz above a cut-on (rms of all coefficients), is 0.002 to 0.004;
 with degree 4 it is 0.004 to 0.010, and without the polynomial 0.05 to 0.14."""
 FEWEST = 10
-"""Least number of frequencies between a cut-on and the end of the band for the fit. With fewer, the
-onset at the cut-on is not subtracted, since it affects few frequencies."""
+"""Least number of given frequencies in the fit, that is, within `SPAN` above a cut-on. With fewer,
+for a cut-on close to the end of the band or in steps of more than 200 Hz, the polynomial is not
+subtracted."""
 
 
 class Onsets(NamedTuple):
@@ -99,10 +100,12 @@ def steps(given: Array, wanted: NDArray[Any], begun: Onsets) -> list[Step]:
 
     Parameters
     ----------
-    given, wanted : ndarray
-        Frequencies in Hz: the given ones, rising and real, (n_given,), and those at which to
-        interpolate, real or complex, (n_wanted,).
+    given : ndarray
+        Frequencies in Hz at which the coefficients are given, rising and real, (n_given,).
+    wanted : ndarray
+        Frequencies in Hz at which to interpolate, real or complex, (n_wanted,).
     begun : Onsets
+        Cut-ons of the coefficients.
     """
     found = []
     for cut_on in np.unique(begun.cut_on):
@@ -129,7 +132,7 @@ def _polynomials(frequency: NDArray[Any], cut_on: float, power: float) -> NDArra
 
 
 def without(found: list[Step], coefficients: Complex) -> Complex:
-    """Return coefficients (n_given, n) without their steps."""
+    """Return coefficients (n_given, n) minus their steps at the cut-ons."""
     rest = coefficients.copy()
     for step in found:
         rest[:, step.columns] -= step.given @ coefficients[step.fitted, step.columns]
@@ -137,7 +140,7 @@ def without(found: list[Step], coefficients: Complex) -> Complex:
 
 
 def restored(found: list[Step], interpolated: Complex, coefficients: Complex) -> Complex:
-    """Return interpolated coefficients (n_wanted, n) with the steps of those given."""
+    """Return interpolated coefficients (n_wanted, n) plus the steps of the given (n_given, n)."""
     whole = interpolated.copy()
     for step in found:
         whole[:, step.columns] += step.wanted @ coefficients[step.fitted, step.columns]
@@ -145,25 +148,26 @@ def restored(found: list[Step], interpolated: Complex, coefficients: Complex) ->
 
 
 def interpolate_scattering(scattering: ModalScattering, frequency: NDArray[Any]) -> Complex:
-    """Return a scattering matrix at other frequencies, real or complex.
+    """Interpolate a scattering matrix over frequency, at real or complex frequencies.
 
     Parameters
     ----------
     scattering : ModalScattering
         Scattering at evenly spaced frequencies.
     frequency : ndarray
-        In Hz, (n,), with real parts within its band.
+        In Hz, (n,), with real parts within the band of `scattering`.
 
     Returns
     -------
     ndarray
-        (n, port_out, mode_out, port_in, mode_in); zero where a mode does not propagate.
+        (n, port_out, mode_out, port_in, mode_in); zero where a mode does not propagate, except for
+        the error of interpolation.
 
     Raises
     ------
     ValueError
-        If a frequency lies outside the band, or the given ones are not evenly spaced, or are too
-        coarse for a cut-on within the band.
+        If a frequency lies outside the band, or the frequencies of `scattering` are not evenly
+        spaced, or are more than `network_checks.COARSEST_STEP` apart with a cut-on in the band.
     """
     given, cut_ons = (np.asarray(one, float) for one in (scattering.frequency, scattering.cut_ons))
     checks.check_interpolation(given, cut_ons, frequency)
@@ -175,7 +179,10 @@ def interpolate_scattering(scattering: ModalScattering, frequency: NDArray[Any])
 
 
 def _passing(scattering: ModalScattering, frequency: NDArray[Any]) -> Complex:
-    """Return factors of the coefficients (n, 2, 1, 2, 1): the plane wave through a bend, or 1."""
+    """Return the factors that are divided out before interpolation, (n, 2, 1, 2, 1).
+
+    They are the phase factor of the plane wave for transmission through a bend, and 1 otherwise.
+    """
     found = np.ones((len(frequency), 2, 1, 2, 1), complex)
     if scattering.inside is not None:
         phase = scattering.inside.length @ plane_wavenumbers(scattering, frequency)
@@ -189,6 +196,7 @@ def plane_wavenumbers(bend: ModalScattering, frequency: NDArray[Any]) -> Complex
     Parameters
     ----------
     bend : ModalScattering
+        Scattering with the plane wave `inside`.
     frequency : ndarray
         In Hz, real or complex, (n,); the result is of first order in the imaginary part.
     """
@@ -201,17 +209,18 @@ def plane_wavenumbers(bend: ModalScattering, frequency: NDArray[Any]) -> Complex
 def interpolated(
     given: Array, coefficients: Complex, wanted: NDArray[Any], begun: Onsets
 ) -> Complex:
-    """Return coefficients at other frequencies.
+    """Interpolate n scattering coefficients over frequency.
 
     Parameters
     ----------
     given : ndarray
         Rising, evenly spaced frequencies in Hz, (n_given,).
     coefficients : ndarray
-        (n_given, n).
+        Coefficients at the given frequencies, (n_given, n).
     wanted : ndarray
-        Frequencies in Hz within their range, real or complex, (n_wanted,).
+        Frequencies in Hz, real or complex, with real parts within the given range, (n_wanted,).
     begun : Onsets
+        Cut-ons of the coefficients.
 
     Returns
     -------

@@ -87,7 +87,8 @@ def probe_pressure(
     air : Air
         Gas in the lumen.
     pulse : callable
-        Pressure over time in s that the source launches into the tube, such as a `Pulse`.
+        Pressure that the source launches into the tube as a function of time in s, such as a
+        `Pulse`.
     radius, length : float
         Radius of the bore and length of the tube in m.
     duration : float
@@ -108,7 +109,8 @@ def probe_pressure(
     ------
     ValueError
         As :func:`transfer`; or if too much of the pulse's energy lies outside the band of the
-        presses, or the pulse lasts longer than the recording.
+        presses, the pulse lasts longer than the recording, the time step is not positive, or the
+        recording has too many samples.
 
     Notes
     -----
@@ -159,7 +161,7 @@ def transfer(
     far_reflection: Reflection = 0.0,
     lossy: bool = True,
 ) -> Complex:
-    """Return the transfer functions from the launched pressure to that averaged at probe planes.
+    """Return the transfer functions from the launched to the plane-averaged pressure at probes.
 
     Parameters
     ----------
@@ -272,7 +274,7 @@ def _propagator(waves: Complex, distance: float) -> Complex:
 def _pressure_at(
     ahead: float, left: float, waves: Complex, forward: Complex, load: Complex
 ) -> Complex:
-    """Return the modal pressures (n, m) of both directions at a point of a straight section."""
+    """Return the total modal pressures (n, m), of both directions, at a point of straight tube."""
     here = _propagator(waves, ahead) * forward
     rest = _propagator(waves, left)
     return np.asarray((here + rest * (load @ (rest * here)))[:, :, 0])

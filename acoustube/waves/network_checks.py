@@ -97,7 +97,7 @@ def in_band(
 
 
 def check_interpolation(given: Array, cut_ons: Array, frequency: NDArray[Any]) -> None:
-    """Validate the given and the required frequencies of an interpolation of scattering."""
+    """Validate the given and the required frequencies of an interpolation; all arguments in Hz."""
     low, high = given[[0, -1]]
     least, most = np.min(np.real(frequency)), np.max(np.real(frequency))
     if not low * (1 - 1e-9) <= least <= most <= high * (1 + 1e-9):
@@ -135,7 +135,7 @@ def common_modes(presses: Sequence[PlacedScatterer]) -> tuple[str, ...]:
 def check_places(
     presses: Sequence[PlacedScatterer], length: float, probes: Sequence[float]
 ) -> None:
-    """Validate that presses do not overlap, and that probes lie in straight tube."""
+    """Validate that presses, sorted by position, and probes lie in the tube without overlap."""
     parts = [
         (press.position + press.scattering.extent[0], press.position + press.scattering.extent[1])
         for press in presses

@@ -39,10 +39,11 @@ Progress = Callable[[float], object]
 SOURCE_BAND_EDGE = 0.05
 """Spectrum of the source pulse at the ends of the band, relative to its peak."""
 SOURCE_PROBE_CELLS = 6
-"""Layers between a source and the nearer probes, and from these to the first layer of the lumen
-that differs from the straight end."""
+"""Number of layers from a source to the nearer probes, and from the farther probes to the lumen
+between its straight ends."""
 PROBE_SEPARATION_CELLS = 2
-"""Layers between the two probes of a port: less than half a wavelength on any allowed grid."""
+"""Number of layers from one probe layer of a port to the next, less than half a wavelength on any
+allowed grid."""
 INWARD_DIRECTION = (1, -1)
 """Sign of the z direction that points into the lumen at each port."""
 NARROWEST_SOURCE_BAND = 20e3
@@ -147,7 +148,7 @@ class PortProblem:
         longest : float
             Time in s after which a run ends at the latest.
         progress : callable
-            Called with the number of finished runs, and the fraction of the current one.
+            Called with the number of finished runs plus the finished fraction of the current one.
 
         Returns
         -------
@@ -193,7 +194,7 @@ def _half(cells: CutCells) -> tuple[CutCells, Array]:
 
 
 def _antisymmetric(setup: Setup, middle: Array, lead: int, air: Air) -> Setup:
-    """Return a half lumen with zero pressure in x = 0, half a cell before the first centres."""
+    """Return a half's setup with zero pressure in x = 0, half a cell before the first centres."""
     n = setup.cells.shape[2]
     ahead = setup.source_layer + lead
     layers = np.clip(np.arange(n) - ahead, 0, middle.shape[1] - 1)
@@ -293,7 +294,7 @@ def _spectrum(signals: Array, omega: Array, end: int) -> Complex:
 def _scattering_matrix(
     problem: PortProblem, spectra: Complex, reference: tuple[float, float]
 ) -> Complex:
-    """Return S from the spectra at the probes in each run.
+    """Return the scattering matrix from the modal pressure spectra at the probes in each run.
 
     Parameters
     ----------

@@ -38,15 +38,15 @@ class Recording:
     time : ndarray
         (n,) in s, from 0 in steps of `time_step`.
     pressure : ndarray
-        (n_probes, n) in units of the pulse.
+        Pressure, or amplitude of a probed mode, in units of the pulse, (n_probes, n).
     time_step : float
         In s.
     probes : tuple of float
         Actual axial positions of the probes in m.
     spacing : tuple of float
-        Cell size in m.
+        Cell size (dx, dy, dz) in m.
     shape : tuple of int
-        Number of grid cells, absorbers included.
+        Number of grid cells (nx, ny, nz), absorbers included.
     """
 
     time: Array
@@ -127,11 +127,13 @@ def propagate(
     air : Air
         Gas in the lumen.
     pulse : callable
-        Pressure over time in s, such as a `Pulse` or a `SampledPulse`; zero before t = 0.
+        Pressure as a function of time in s, zero before t = 0: a `Pulse`, a `SampledPulse` or any
+        such function.
     duration : float
         Recorded time in s.
     probes : tuple of Probe
-        Distances in m of planes over which the pressure is averaged; or `ModalProbe`, `PointProbe`.
+        Each a `ModalProbe`, a `PointProbe`, or the distance in m from the source end of a plane
+        over which the pressure is averaged.
     source_mode : str
         Mode launched by the absorbing end, as ``11c``; see `ModalProbe`.
     source_end, far_end, absorber_thickness, time_step, lossy_band
@@ -231,12 +233,12 @@ def audible_layers(setup: Setup, air: Air, n_steps: int, n_samples: int) -> NDAr
 
 
 def launching_source(wave: Array, setup: Setup, air: Air) -> Array:
-    """Return the source increments at z = 0 that launch a given plane wave.
+    """Return the source's pressure increments per step that launch a given plane wave at z = 0.
 
     Parameters
     ----------
     wave : ndarray
-        Required pressure at z = 0 at the ends of the steps, (n+1,).
+        Required pressure at z = 0 at the start and at the end of each step, (n+1,).
     setup : Setup
         The discrete problem.
     air : Air
@@ -245,12 +247,13 @@ def launching_source(wave: Array, setup: Setup, air: Air) -> Array:
     Returns
     -------
     ndarray
-        Pressure increments, (n,).
+        Pressure increments in the unit of `wave`, (n,).
 
     Notes
     -----
-    For increments g in the middle of the steps, the residue of the axial Green's function gives
-    p/g = sqrt(1 + 4 b s^2) / (2 nu cos(theta/2) (1 + 8 b s^2)) with s = sin(theta/2), b = beta.
+    With theta, Omega, nu and beta of :mod:`acoustube.waves.scheme.operator` and s = sin(theta/2),
+    the residue of the axial Green's function gives for increments g in the middle of the steps
+    p/g = sqrt(1 + 4 beta s^2) / (2 nu cos(theta/2) (1 + 8 beta s^2)).
     With beta = (1 - nu^2)/12 this is (1 + Omega^2/8) / (2 nu) up to fourth order. The factor
     1 + Omega^2/8 is cancelled by the mean of two neighbouring samples of the wave, whose response
     is cos(Omega/2). The source layer and its neighbours also have a near field of a few per cent.

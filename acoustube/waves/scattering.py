@@ -59,13 +59,14 @@ class ModalScattering:
     sound_speed : float
         In m/s.
     extent : tuple of float
-        Start and end of the part that is not straight, in m from the position.
+        Start and end of the part that is not straight, in m along z from the position at which the
+        scatterer is placed (`PlacedScatterer`).
     planes : tuple of float
-        Reference planes of the ports, in m from the position: both at the position of a press, or
-        at the ends of a bend.
+        Reference planes of the ports, in m from this position: (0, 0) for a press, the two ends for
+        a bend.
     inside : PlaneWave or None
-        Wavenumber of the plane wave in each part of a bend, for the clutter there and for
-        interpolation over frequency; None for a press.
+        Plane wave in each part of a bend, for the clutter there and for interpolation over
+        frequency; None for a press.
     """
 
     frequency: Array
@@ -89,9 +90,9 @@ class Scattering(ModalScattering):
         Whether a coefficient changed by less than `SETTLED_CHANGE` over the last quarter of the
         runs; of the shape of `s`.
     spacing : tuple of float
-        Size of a grid cell in m.
+        Size of a grid cell (dx, dy, dz) in m.
     shape : tuple of int
-        Number of cells of a run.
+        Number of cells of a run (nx, ny, nz).
     steps : int
         Number of time steps of the longest run.
     time_step : float
@@ -112,7 +113,8 @@ class PlacedScatterer:
     Attributes
     ----------
     scattering : ModalScattering
-        A scattering from a file has both reference planes at the position, z = 0 of its surface.
+        Scattering of the press or bend. One from a file has both reference planes at the position,
+        which is z = 0 of its surface.
     position : float
         Distance from the source end in m.
     """
@@ -191,19 +193,21 @@ def scatter(
     Raises
     ------
     ConfigError
-        If the lumen has no straight ends, or ends of different sections, or the frequencies do not
-        increase.
+        If the lumen has no straight ends, or ends of different sections or not symmetric about
+        x = 0, or the frequencies do not increase.
+    SimulationError
+        If the pressure is no longer finite.
 
     Notes
     -----
-    One run for each port and mode: a source in a layer of the straight end launches the mode in
-    both directions, outwards into an absorber. The pressures in two layers of probes at each port,
-    projected onto the modes of the section, are separated into ingoing and outgoing waves by the
-    modes' wavenumbers, known in closed form on the grid (see :mod:`acoustube.waves.port_waves`).
-    With the ingoing waves of all runs as the columns of A and the outgoing ones as those of B,
-    B = S A: the absorbers' reflections are part of A and therefore cancel. A lumen symmetric about
-    x = 0 is computed by halves, the symmetric and the antisymmetric modes separately. A lumen
-    symmetric along z, also on the grid, is driven from one end only.
+    There is one run for each port and mode. A source in a layer of the straight end launches the
+    mode in both directions; the outward wave enters an absorber. The pressures in two layers of
+    probes at each port, projected onto the modes of the section, are separated into ingoing and
+    outgoing waves by the modes' wavenumbers, known in closed form on the grid (see
+    :mod:`acoustube.waves.port_waves`). With the ingoing waves of all runs as the columns of A and
+    the outgoing ones as those of B, B = S A: the absorbers' reflections are part of A and therefore
+    cancel. A lumen symmetric about x = 0 is computed by halves, the symmetric and the antisymmetric
+    modes separately. A lumen symmetric along z, also on the grid, is driven from one end only.
     """
     frequency = np.asarray(frequency, float)
     if not np.all(np.diff(frequency) > 0):

@@ -16,7 +16,20 @@ from acoustube.waves.port_waves import Complex
 
 
 def star_product(first: Complex, second: Complex) -> Complex:
-    """Return the scattering matrix of two parts in series, (n, 2 m, 2 m)."""
+    """Return the scattering matrix of two parts in series, Redheffer's star product.
+
+    Parameters
+    ----------
+    first, second : ndarray
+        Scattering matrices of the parts at n frequencies, (n, 2 m, 2 m): outgoing waves by incoming
+        waves, the m modes at the start of the part before those at its end. The end of the first
+        part is the start of the second.
+
+    Returns
+    -------
+    ndarray
+        Scattering matrix in the same order, (n, 2 m, 2 m).
+    """
     m = first.shape[1] // 2
     (a11, a12), (a21, a22) = _blocks(first, m)
     (b11, b12), (b21, b22) = _blocks(second, m)

@@ -14,7 +14,7 @@ from acoustube.base.foreign import limits
 
 
 def read_archive(path: Path, kind: str) -> dict[str, NDArray[Any]]:
-    """Read all arrays of an archive.
+    """Return all arrays of an NPZ archive by name.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def read_archive(path: Path, kind: str) -> dict[str, NDArray[Any]]:
     ConfigError
         If it has too many members, too long names, too much data, or arrays of Python objects.
     Exception
-        What zipfile and NumPy raise for damaged archives; see
+        Any error of zipfile or NumPy for a damaged archive. The caller converts it by
         :func:`acoustube.base.foreign.limits.reading`.
     """
     found: dict[str, NDArray[Any]] = {}
@@ -44,7 +44,7 @@ def read_archive(path: Path, kind: str) -> dict[str, NDArray[Any]]:
 
 
 def _array(path: Path, name: str, member: Any, stored: int) -> NDArray[Any]:
-    """Return an array; raise for Python objects, which could run code when read."""
+    """Return an array of `stored` bytes at most; raise for Python objects or more bytes."""
     version = np.lib.format.read_magic(member)
     read_header = {(1, 0): np.lib.format.read_array_header_1_0}
     shape, _, dtype = read_header.get(version, np.lib.format.read_array_header_2_0)(member)

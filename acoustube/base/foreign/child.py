@@ -32,12 +32,12 @@ serve()
 PIPE = 1 << 20
 """Bytes of the pipes' buffers, where the system lets one choose: arrays pass at memory's speed."""
 KEPT = 1 << 25
-"""Bytes of memory that glibc, if present, keeps after a file: otherwise the next file would touch
-each of their pages anew, which takes several times as long as copying them."""
+"""Bytes of memory that glibc, if present, keeps after a file. Otherwise the next file would touch
+each page of this memory anew, which takes several times as long as copying it."""
 WALL = 10
 """Ratio of a reader's allowed elapsed to processor time: a machine may be busy, a disk slow."""
 NUMERIC = "biufcU"
-"""Kinds of arrays that are accepted from the child."""
+"""Values of ``dtype.kind`` of the arrays that are accepted from the child."""
 
 Entries = list[tuple[dict[str, Any], Any]]
 
@@ -47,7 +47,7 @@ class ReadingError(Exception):
 
 
 class MissingPackage(ReadingError):  # noqa: N818
-    """A package that a reader needs, and that is missing or incomplete."""
+    """A package that a reader needs is missing or incomplete; the message is its name."""
 
 
 class _Child:
@@ -92,14 +92,17 @@ def read(reader: str, path: Path, kind: str) -> Entries:
     Returns
     -------
     list of tuple
-        What the reader yields: a label, and an array, or a number or text if it has no axis.
+        What the reader yields: a label, and an array, or a number or text in place of an array
+        without axes. An array that the file stores uncompressed may be memory-mapped.
 
     Raises
     ------
     ReadingError
-        If the reader fails, crashes or exceeds its time or memory.
+        If the reader fails, crashes or exceeds its time.
+    MissingPackage
+        If a package that the reader needs is missing.
     ConfigError
-        If the file is no regular file or too large.
+        If the file is no regular file, or exceeds a limit of size, entries or memory.
     """
     size = limits.check_file(path, kind)
     seconds = limits.factor() * (limits.SECONDS + size / limits.BYTES_PER_SECOND)
@@ -178,7 +181,7 @@ def _received(child: _Child, size: int) -> bytearray:
 
 
 def _receive(child: _Child, target: memoryview) -> None:
-    """Fill a buffer from the child."""
+    """Fill a buffer with the next bytes from the child; raise ReadingError if it has ended."""
     stream: Any = child.process.stdout
     while target:
         n = stream.readinto(target)

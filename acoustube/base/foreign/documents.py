@@ -12,17 +12,23 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.foreign import limits
 
 DOTTED = re.compile(rf"(?<![\w-])(?:[\w-]++\s*+\.\s*+){{{limits.NESTING}}}")
-"""A key nested too deeply, for which the parser of TOML takes a time that grows with its square."""
+"""Pattern of a dotted key nested too deeply: TOML's parser takes a time like its depth squared."""
 PARSERS = {".toml": ("TOML", tomllib.loads), ".json": ("JSON", json.loads)}
 
 
 def read_document(path: str | Path, kind: str = ".toml") -> dict[str, Any]:
     """Read a table from a TOML or JSON file.
 
+    Parameters
+    ----------
+    path : str or Path
+    kind : {".toml", ".json"}
+        Format of the file, whatever its name.
+
     Raises
     ------
     ConfigError
-        If the file cannot be read, is something else, or exceeds a limit of
+        If the file cannot be read, is not valid, does not hold a table, or exceeds a limit of
         :mod:`acoustube.base.foreign.limits`.
     """
     limits.check_file(path, "settings")
@@ -56,7 +62,7 @@ def parsed(text: str, source: str | Path, kind: str = ".json") -> Any:
     Raises
     ------
     ConfigError
-        If it is not valid, or exceeds a limit.
+        If the text is not valid, or exceeds a limit.
     """
     name, parse = PARSERS[kind]
     if kind == ".toml" and DOTTED.search(text):

@@ -42,7 +42,7 @@ OF_CONTENT = (
     ArithmeticError, AttributeError, LookupError, MemoryError, NotImplementedError, RecursionError,
     TypeError, ValueError,
 )  # fmt: skip
-"""Errors raised for a result whose content does not match its names."""
+"""Errors raised when a result does not have the variables or values expected in it."""
 
 _KINDS = {
     stat.S_ISDIR: "a folder", stat.S_ISFIFO: "a pipe", stat.S_ISCHR: "a device",
@@ -51,7 +51,7 @@ _KINDS = {
 
 
 def factor() -> float:
-    """Return the factor on all limits.
+    """Return the factor on all limits, from the environment variable; 1 if that is not set.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def factor() -> float:
 
 
 def largest(kind: str) -> int:
-    """Return the largest size in bytes of a file of a kind, a key of :data:`SIZES`."""
+    """Return the largest size of a file of a kind in bytes: of :data:`SIZES`, times the factor."""
     return int(SIZES[kind] * factor())
 
 
@@ -82,12 +82,13 @@ def check_file(path: str | Path, kind: str) -> int:
     Returns
     -------
     int
-        Its size in bytes.
+        Size of the file in bytes.
 
     Raises
     ------
     ConfigError
-        If there is none, it is a pipe, a device or a folder, or larger than the limit.
+        If there is no such file, it is a pipe, a device, a folder or a file of the operating system
+        (as in /proc), or it is larger than the limit.
     """
     try:
         status = Path(path).stat()
@@ -131,7 +132,7 @@ def check_size(path: str | Path, kind: str, size: float, what: str = "holds") ->
     size : float
         In bytes.
     what : str
-        Verb of the message.
+        Verb of the message, between the path and the size.
     """
     if size > largest(kind):
         raise ConfigError(
@@ -141,7 +142,7 @@ def check_size(path: str | Path, kind: str, size: float, what: str = "holds") ->
 
 
 def check_count(path: str | Path, what: str, count: int, limit: int) -> None:
-    """Raise ConfigError if a file has more items than a limit times :func:`factor`."""
+    """Raise ConfigError if `count` exceeds a limit times :func:`factor`; `what` are the items."""
     if count > limit * factor():
         raise ConfigError(
             f"{path} has {count} {what}, over the limit of {limit * factor():g}; {RAISE}"
@@ -149,7 +150,7 @@ def check_count(path: str | Path, what: str, count: int, limit: int) -> None:
 
 
 def check_name(path: str | Path, name: str) -> None:
-    """Raise ConfigError if a name in a file is longer than :data:`NAME`."""
+    """Raise ConfigError if a name in a file is longer than :data:`NAME` times :func:`factor`."""
     if len(name) > NAME * factor():
         raise ConfigError(
             f"{path} holds a name of {len(name)} characters, {name[:20]}..., over the limit of "
@@ -174,7 +175,8 @@ def reading(
     advice : str
         What to do.
     errors : type or tuple of type, optional
-        Errors of reading; :data:`OF_CONTENT` where files are written too.
+        Errors to convert besides ConfigError; :data:`OF_CONTENT` if the block also writes files,
+        whose OSError is then passed on.
     """
     silent = logging.root.manager.disable
     try:

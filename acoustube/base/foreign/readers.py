@@ -1,7 +1,8 @@
-"""Readers in C of other programs' files; they run in the child process alone.
+"""Readers of other programs' files, most by C libraries; they run only in the child process.
 
-Each yields labels and arrays. Nothing heavy is imported before it is needed: the imports of this
-module and its readers delay the first file.
+Each takes the path and the largest number of bytes that its arrays may have together (`most`), and
+yields labels and arrays. Nothing heavy is imported before it is needed: the imports of this module
+and its readers delay the first file.
 """
 
 from __future__ import annotations
@@ -14,12 +15,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+# Label (name, unit and the like), and an array, a number, a text or a Stored.
 Entry = tuple[dict[str, Any], Any]
 
 BLOCK = 1 << 28
 """Bytes of a dataset that are read at a time."""
 LARGE, SAMPLE = 1_000_000, 256
-"""Smallest size in bytes of an array that is searched for in its file, and bytes compared first."""
+"""Smallest size of an array that is searched for in its file, and size of the part that is searched
+for before the whole is compared, in bytes."""
 _DIMENSION = b"This is a netCDF dimension"
 
 
@@ -48,7 +51,7 @@ class Stored(NamedTuple):
 
 
 def mat(path: str, most: int) -> Iterator[Entry]:
-    """Read MATLAB's files; of equal names in nested structures the first is kept."""
+    """Read MATLAB's files of any version; of equal names in structures the first is kept."""
     import h5py
 
     if h5py.is_hdf5(path):
@@ -68,7 +71,10 @@ def mat(path: str, most: int) -> Iterator[Entry]:
 
 
 def _located(content: mmap.mmap, array: Any) -> Stored | None:
-    """Return where a file stores a large array as it is in memory, by columns or by rows."""
+    """Return the place where a file holds the bytes of a large array, if any; else None.
+
+    An array that is contiguous by columns is returned as its transpose, contiguous by rows.
+    """
     flat = array if array.flags.c_contiguous else array.T
     if array.nbytes < LARGE or not flat.flags.c_contiguous:
         return None
@@ -85,7 +91,10 @@ def _located(content: mmap.mmap, array: Any) -> Stored | None:
 
 
 def _flat(tree: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the leaves of a nested structure by name; the first of equal names is kept."""
+    """Return the leaves of a nested structure by name, without private ones (``__header__``).
+
+    Of equal names the first is kept.
+    """
     found: dict[str, Any] = {}
     for name, value in tree.items():
         leaves = _flat(value) if isinstance(value, Mapping) else {name: value}
@@ -162,7 +171,7 @@ def _items(file: Any) -> list[tuple[str, Any]]:
 
 
 def _counted(item: Any, total: int, most: int) -> int:
-    """Return the bytes of the datasets so far; raise over the limit, before one is read."""
+    """Return `total` plus the bytes of a dataset; raise if that exceeds `most`."""
     total += item.size * item.dtype.itemsize if item.size else 0
     if total > most:
         raise Exceeded(
@@ -172,7 +181,7 @@ def _counted(item: Any, total: int, most: int) -> int:
 
 
 def _values(item: Any) -> Any:
-    """Return a dataset's values; None if they are neither numbers nor text."""
+    """Return a dataset's values or place; None if they are neither numbers nor text."""
     import h5py
 
     nothing = "MATLAB_empty" in item.attrs or item.attrs.get("MATLAB_class") == b"char"
@@ -194,7 +203,7 @@ def _stored(item: Any) -> Any:
 
 
 def netcdf(path: str, most: int) -> Iterator[Entry]:
-    """Read netCDF: every variable, unpacked by its scale, offset and fill value; attributes."""
+    """Read netCDF: attributes, and every variable, decoded by its scale, offset and fill value."""
     import h5py
 
     if h5py.is_hdf5(path):
@@ -234,7 +243,10 @@ def _attributes(found: Mapping[str, Any]) -> Iterator[Entry]:
 
 
 def _variable(name: str, value: Any, attributes: Mapping[str, Any], values: Any) -> Entry:
-    """Return a variable, decoded by its scale, offset and fill value."""
+    """Return a variable, decoded by its scale, offset and fill value.
+
+    `value` is returned where nothing is to be decoded; `values` is a function that reads the array.
+    """
     unit = attributes.get("units")
     unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
     label = {"name": name, "unit": unit if isinstance(unit, str) else None}
@@ -257,13 +269,13 @@ def _variable(name: str, value: Any, attributes: Mapping[str, Any], values: Any)
 
 
 def flac(path: str, most: int) -> Iterator[Entry]:
-    """Read FLAC: its rate, and samples of shape (time, channel) in the type for their bit depth."""
+    """Read FLAC: sampling rate in Hz, and integer samples of shape (time, channel)."""
     try:
         import soundfile
     except (ImportError, OSError) as error:
         raise Missing("soundfile") from error
     with soundfile.SoundFile(path) as file:
-        # Eight and 24 bits come at the upper end of the type that holds them.
+        # Samples of 8 and 24 bits come in the upper bits of a 16- and a 32-bit integer.
         kinds = {"PCM_S8": ("int16", 8), "PCM_16": ("int16", 0), "PCM_24": ("int32", 8)}
         dtype, shift = kinds[file.subtype]
         if file.frames * file.channels * np.dtype(dtype).itemsize > most:
@@ -291,7 +303,7 @@ def c3d(path: str, most: int) -> Iterator[Entry]:  # noqa: ARG001
 
 
 def vtp(path: str, most: int) -> Iterator[Entry]:  # noqa: ARG001
-    """Read the points and triangles of a VTP file."""
+    """Read the points (point, 3) and triangles (face, 3) of a VTP file."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkFiltersCore import vtkTriangleFilter
     from vtkmodules.vtkIOXML import vtkXMLPolyDataReader

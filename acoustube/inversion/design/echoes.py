@@ -46,7 +46,8 @@ class PressedTube:
     Raises
     ------
     ConfigError
-        If there are fewer than four depths, or they do not increase.
+        If a value is out of range, there are fewer than four depths, depths or forces do not
+        increase, or arrays differ in shape.
     """
 
     radius: float
@@ -103,7 +104,7 @@ class PressedTube:
         )
 
     def depth_at(self, force: Array) -> Array:
-        """Return the depths in m at forces in N; beyond the last press its depth."""
+        """Return the depths in m at forces in N; at forces beyond the last press's, its depth."""
         return np.asarray(self._depth_of(np.clip(force, 0.0, self.force[-1])))
 
     def compliance_at(self, force: Array) -> Array:
@@ -122,7 +123,7 @@ class PressedTube:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Contacts:
-    """Contacts that a sensor has to resolve.
+    """Contacts for which the errors of a sensor are predicted.
 
     Attributes
     ----------
@@ -131,11 +132,16 @@ class Contacts:
     force : ndarray
         In N, (n,).
     tool : ndarray
-        Number of the tool, (n,).
+        Number of the tool, from 0, (n,).
     lightest, strongest : float
         Range of the forces in N.
     length : float
         Of the tube in m.
+
+    Raises
+    ------
+    ConfigError
+        If a value is out of range, or the arrays differ in length.
     """
 
     place: Array

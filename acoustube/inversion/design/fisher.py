@@ -1,9 +1,10 @@
 """Fisher information of a contact at each frequency, before weighting by the spectrum of a pulse.
 
 The echo of a press is R(f, d) exp(-2j k z) times the spectrum that the electronics receive from a
-complete reflection. The Fisher information is a sum over frequency of products of derivatives of
-the echo, and linear in the power of that spectrum. The factors that do not depend on pulse and
-transducer are computed once for a tube.
+complete reflection. R is the reflection coefficient of the plane mode at frequency f by a press of
+depth d, k the mode's wavenumber, and z the distance of the press. The Fisher information is a sum
+over frequency of products of derivatives of the echo, and linear in the power of that spectrum. The
+factors that do not depend on pulse and transducer are computed once for a tube.
 
 References
 ----------
@@ -32,11 +33,11 @@ FARTHEST, REACHES = 12.0, 48
 
 
 class Information(NamedTuple):
-    """Fisher information of contacts on a tube over frequency, per received spectral power.
+    """Fisher information of n contacts on a tube over frequency, per received spectral power.
 
     Columns are the derivatives of the echo by position, depth, temperature, stretch, gain and
-    phase, each in units of its prior standard deviation, for the rangefinder at the face and for
-    one at the far end.
+    phase, each times the prior standard deviation of its parameter. A first axis of length 2 is for
+    the rangefinder at the face and for one at the far end.
 
     Attributes
     ----------
@@ -45,21 +46,21 @@ class Information(NamedTuple):
     sound_speed : float
         In m/s.
     wavenumber : ndarray
-        Real part, in rad/m, (n_f,).
+        Real part of the plane mode's wavenumber, in rad/m, (n_f,).
     products : ndarray
-        Real parts of the products of columns, (2, n, 6, 6, n_f).
+        Real parts of the products of conjugate columns with columns, (2, n, 6, 6, n_f).
     echoes : ndarray
         Products of the conjugate columns with the echo, (2, n, 6, n_f).
     power : ndarray
-        Power of the echo, (2, n, n_f).
+        Squared magnitude of the echo, attenuated by the path, (2, n, n_f).
     place : ndarray
-        Distances from either face in m, (2, n).
+        Distances of the contacts from either rangefinder in m, (2, n).
     scale : ndarray
         Prior standard deviations of position and depth in m, (2,).
     slope : ndarray
         Relative change of force with depth in 1/m, (n,).
     within_range : ndarray
-        Whether the force is within the range of the presses of the tube, (n,).
+        1 if the force is at most that of the deepest press of the tube, otherwise 0, (n,).
     force_prior : float
         Standard deviation of the logarithm of an unknown force.
     hardness : float
@@ -69,7 +70,7 @@ class Information(NamedTuple):
     range_grid : ndarray
         Positions in m at which the echo of the lightest contact is computed, (m,).
     range_power : ndarray
-        Power of this echo, the least of the tools, (m, n_f).
+        Squared magnitude of this echo, that of the tool with the weakest one, (m, n_f).
     """
 
     frequency: Array
@@ -112,14 +113,14 @@ def information(
         One for each tool, all with the same bore and frequencies.
     contacts : Contacts
     modulus : float
-        Shear modulus relative to that of the presses. Forces of a neo-Hookean tube on a rigid floor
-        are proportional to it.
+        Shear modulus of the wall, relative to that with which the presses were computed. Forces of
+        a neo-Hookean tube on a rigid floor are proportional to it.
     temperature : float
         Of the air in degC.
     priors : Priors, optional
-        Standard deviations of the nuisance parameters.
+        Those of temperature, stretch, gain and phase are used.
     hardness : float
-        Relative standard deviation of the modulus.
+        Relative standard deviation of the wall's modulus.
     model : float
         Standard deviation in m of depths due to errors of the forward model.
 
@@ -168,7 +169,11 @@ def information(
 def _presses(
     tubes: Sequence[PressedTube], contacts: Contacts, modulus: float
 ) -> tuple[Array, Array, Complex, Complex]:
-    """Return slope of the log force, whether it is in range, reflection and its slope by depth."""
+    """Return four properties of the presses of the contacts.
+
+    They are the slope of the logarithm of force by depth in 1/m, (n,), 1 where the force is within
+    range, (n,), the reflection coefficient, (n, n_f), and its derivative by depth in 1/m, (n, n_f).
+    """
     n = len(contacts.force)
     slope, within_range = np.zeros((2, n))
     echo, by_depth = np.zeros((2, n, len(tubes[0].frequency)), complex)

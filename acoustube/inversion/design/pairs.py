@@ -1,9 +1,10 @@
 """Expected errors of two presses at once, the second one behind the first.
 
 The sound of the second press passes the first one twice: its echo is T1^2 R2 exp(-2j k z2), and
-that of the first press is R1 exp(-2j k z1). Overlap of the echoes and shared nuisance parameters
-(air, gain) increase the errors of both. Multiple reflections between the presses and modes other
-than the plane one are left out, as for one press.
+that of the first press is R1 exp(-2j k z1). R and T are the presses' reflection and transmission
+coefficients, z their distances, and k is the wavenumber. Overlap of the echoes and shared nuisance
+parameters (air, gain) increase the errors of both presses. Multiple reflections between the presses
+and modes other than the plane one are left out, as for one press.
 """
 
 from __future__ import annotations
@@ -73,7 +74,8 @@ def predict_pairs(
     tubes : sequence of PressedTube
         One for each tool, with their transmission.
     contacts : Contacts
-        The first press of each pair; the second one has the force and the tool of the next contact.
+        The first press of each pair. The second one has the force and the tool of the next contact,
+        or of the first contact in the last pair.
     electronics : Electronics
         Scalars.
     separation : float

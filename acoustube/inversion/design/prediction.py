@@ -30,6 +30,7 @@ from acoustube.inversion.baseband import (
     DITHER,
     FADE,
     HALF_WIDTH,
+    OWN_LENGTH,
     half_width,
 )
 from acoustube.inversion.design.fisher import Information
@@ -41,12 +42,10 @@ DETECTED = 6.0
 """Amplitude of an echo after its matched filter, in standard deviations of the noise, at which half
 of the echoes are detected; noise alone exceeds it in exp(-18) of its samples."""
 BAND_EDGE, BAND_ROLL = 0.875, 0.084
-"""Distance of the middle of the tapers of the inversion's band from the carrier, and width of the
-tapers, both relative to half the width of the band."""
+"""Sigmoid in place of the tapers of the inversion's band: distance of its middle from the carrier,
+and its width, both relative to half the width of the band."""
 BLIND_ROLL = 0.02
 """Width in m of the transition from masked to unmasked echoes behind the ring-down."""
-OWN_LENGTH = 0.03
-"""Length in m of the part of the tube that a press deforms: closer presses deform the same part."""
 
 
 class Electronics(NamedTuple):
@@ -62,15 +61,15 @@ class Electronics(NamedTuple):
         Quality factor of the transducer.
     level : float
         Counts received from a complete reflection of a steady drive, over the standard deviation of
-        the noise of a sample.
+        the noise of a sample of the mean of cycles.
     rate : float
         Samples per second.
     ring : float
-        Received level of the rangefinder's own drive over full scale.
+        Received amplitude of the rangefinder's own drive over half of full scale, at least 1.
     ends : float
         Number of rangefinders, 1 or 2.
     bandwidth : float
-        Of a chirp in Hz; 0 for a burst.
+        Bandwidth of a chirp in Hz; 0 for a burst.
     low_corner, high_corner : float
         Corner frequencies of loudspeaker and microphone in Hz; 0 for none.
     """
@@ -107,7 +106,8 @@ class Prediction(NamedTuple):
     model : ndarray
         Relative standard deviation of the force by errors of the forward model alone, (..., n).
     reach : ndarray
-        Farthest position in m at which the lightest contact is detected, (...).
+        Farthest position in m at which the lightest contact is detected; twice that distance with
+        two rangefinders, (...).
     resolution : ndarray
         Least distance in m at which the echoes of two presses are separate, (...).
     nearest : ndarray
@@ -133,7 +133,7 @@ class Prediction(NamedTuple):
 
 
 def electronics_of(rangefinder: Rangefinder, ends: int = 1, average: int = 1) -> Electronics:
-    """Return the electronics of a rangefinder with a burst or a chirp at its resonance.
+    """Return the electronics of a rangefinder with a square burst or plain chirp at its resonance.
 
     Parameters
     ----------
@@ -188,7 +188,9 @@ def predict(known: Information, electronics: Electronics) -> Prediction:
 
 
 def score(found: Prediction, asked: Sequence[float]) -> Array:
-    """Return the logarithm of the rms error of force, with penalties for goals that are missed.
+    """Return the logarithm of the rms relative error of force, plus penalties for missed goals.
+
+    The result is (...); lower values are better. A small term favours precise positions.
 
     Parameters
     ----------
@@ -204,7 +206,7 @@ def score(found: Prediction, asked: Sequence[float]) -> Array:
 def gradient(
     known: Information, electronics: Electronics, asked: Sequence[float]
 ) -> tuple[float, Array]:
-    """Return the score and its gradient by the logarithms of carrier and cycles.
+    """Return the score, and its gradient by the logarithms of carrier and cycles, (2,).
 
     Parameters
     ----------
@@ -222,7 +224,7 @@ def gradient(
 
 
 def on_device(known: Information) -> Information:
-    """Return the information as arrays of JAX, so that repeated predictions need not copy it."""
+    """Return the information as JAX arrays, so that repeated predictions need not copy it."""
     with jax.enable_x64(True):
         return Information(*(jnp.asarray(one) for one in known))  # type: ignore[arg-type]
 
@@ -258,10 +260,10 @@ def _scored(logs, given, tensors, goal):  # type: ignore[no-untyped-def]
 
 
 def spectrum(frequency, electronics):  # type: ignore[no-untyped-def]
-    """Return the power of a drive's spectrum after both passages of its transducer, in s2.
+    """Return the energy spectrum of a drive after both passages of its transducer, in s2, (n_f,).
 
-    That of a square burst is :meth:`acoustube.ranging.Burst.spectrum` for whole half periods, and
-    continuous in their number. That of a chirp is without the part at negative frequencies.
+    A square burst has that of :meth:`acoustube.ranging.Burst.spectrum` for whole half periods, and
+    is continuous in their number. A chirp is without the part at negative frequencies.
     """
     one = Electronics(*electronics)
     carrier, cycles = one.carrier, one.cycles
@@ -291,7 +293,7 @@ def _chirp(off, one):  # type: ignore[no-untyped-def]
 
 
 def _received(frequency, electronics):  # type: ignore[no-untyped-def]
-    """Return the power of the received spectrum in the band of the inversion, in s2."""
+    """Return :func:`spectrum`, tapered to the band of the inversion, in s2, (n_f,)."""
     one = Electronics(*electronics)
     half = jnp.maximum(HALF_WIDTH * one.carrier, CHIRP_BAND * one.bandwidth)
     sides = (BAND_EDGE - jnp.abs(frequency - one.carrier) / half) / BAND_ROLL
@@ -299,7 +301,9 @@ def _received(frequency, electronics):  # type: ignore[no-untyped-def]
 
 
 def weight_of(frequency: Array, electronics: Electronics) -> Array:
-    """Return the information at each frequency for a reflection coefficient of 1, (n_f,).
+    """Return the weight of each frequency in the Fisher information, (n_f,).
+
+    It is the energy of the echo of a complete reflection over the variance of a sample's noise.
 
     Parameters
     ----------
@@ -324,7 +328,7 @@ def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
     weight = 2 * rate * step * level**2 * received
     decay = quality / (jnp.pi * carrier)
     free = cycles / carrier + decay * jnp.log(ring) + AFTER_CLIPPING + FADE
-    nearest = 0.5 * known.sound_speed * free + OWN_LENGTH  # as of the inversion's baseband
+    nearest = 0.5 * known.sound_speed * free + OWN_LENGTH  # as in the inversion's baseband
     unmasked = jax.nn.sigmoid(4 * (known.place - nearest) / BLIND_ROLL)
     unmasked = unmasked * jnp.stack([1.0, jnp.where(ends > 1.5, 1.0, 0.0)])[:, None]
     power = (known.power @ weight) * unmasked
@@ -359,7 +363,11 @@ def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
 
 
 def _information(known, weight, carrier, unmasked):  # type: ignore[no-untyped-def]
-    """Return information, half waves in m, their squared distances and shifts of depth there."""
+    """Return the information (n, 4, 4) and, for :data:`HALF_WAVES`, three properties of the errors.
+
+    They are shift of position in m, (6,), squared distance of the echoes, and scaled shift of
+    depth, both (6, n). Gain and phase of each rangefinder are eliminated.
+    """
     half = jnp.interp(carrier, known.frequency, known.wavenumber)
     off = jnp.array(HALF_WAVES) * jnp.pi / half
     angle = 2 * known.wavenumber[None] * off[:, None]

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from acoustube.base.checks import LENGTH, Optional, Several, checked
 from acoustube.base.types import Array
-from acoustube.inversion.twin.estimate import SPEED, Twin
+from acoustube.inversion.twin.estimate import Twin
+from acoustube.inversion.twin.fit import SPEED
 from acoustube.inversion.twin.model import (
     LOCAL,
     NOMINAL_FREQUENCY,
@@ -25,8 +26,9 @@ from acoustube.ranging.analogue import MEASURED_SPACING
 from acoustube.waves.scattering import Complex
 
 SPACING = MEASURED_SPACING
+"""Spacing in m of the reflectors that represent the clutter."""
 DENSITIES = np.geomspace(1e-8, 1e-2, 25)
-"""Reflected powers per length in 1/m over which the density is averaged by its likelihood."""
+"""Values in 1/m of the power reflected per length, over which it is averaged by its likelihood."""
 RING_SHARE = 1.5e-3
 """Time in s over which the level of the ring-down is fitted."""
 DETECTED = 6.0
@@ -34,15 +36,17 @@ DETECTED = 6.0
 AROUND_END = 0.04
 """Half the width in m of the part of the tube that belongs to the far end."""
 ROUNDING = 1 / 12
+"""Variance of the rounding error in counts squared."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """Value with its standard deviation.
+    """Estimate of a quantity, with its standard deviation.
 
     Attributes
     ----------
     value, deviation : float
+        Estimate and standard deviation, in the unit of the quantity.
     """
 
     value: float
@@ -56,17 +60,17 @@ class Background:
     Attributes
     ----------
     send : Measured
-        Level of the rangefinder's own drive, steady at resonance.
+        Level at which the rangefinder's own drive is received, if steady and at resonance.
     far_reflection : Measured
         Reflection coefficient of the far end; 0 where no echo of it is received.
     length : Measured or None
         Distance of the far end in m; None where no echo of it is received.
     places, reflectivity : ndarray
-        Clutter: positions in m of reflectors, and their reflection coefficients, (n_z,).
+        Clutter: distances of reflectors in m, and their reflection coefficients, (n_z,).
     clutter : Measured
         Power that the clutter reflects per length, in 1/m.
     noise : Measured
-        Standard deviation of the noise of a sample.
+        Standard deviation of the noise of a sample, without rounding.
     offset, drift : Measured
         Mean of the cycles' offsets, and their standard deviation from cycle to cycle.
     jitter : Measured
@@ -104,8 +108,11 @@ def fit_background(
     Parameters
     ----------
     twin : Twin
+        Fit of the same recordings.
     untouched : Group
+        Cycles without contact.
     closed : sequence of Group
+        Cycles of the closures.
     length : float, optional
         Length of the tube in m, near which the far end is sought.
 
@@ -144,7 +151,7 @@ def fit_background(
 
 
 def ring_down(twin: Twin) -> Complex:
-    """Return the spectrum of the ring-down of unit level, faded in as the cycles are, (n_f,)."""
+    """Return the spectrum in s of a ring-down of level 1, faded in as the cycles are, (n_f,)."""
     band: Band = twin.band
     shared = dict(zip(SHARED, twin.point.shared.tolist(), strict=True))
     n = 2 * band.n_samples
@@ -164,7 +171,10 @@ def ring_down(twin: Twin) -> Complex:
 
 
 def _templates(twin: Twin, places: Array, temperature: float) -> Complex:
-    """Return the basebands of echoes of complete reflections, without repetitions, (n, n_t)."""
+    """Return the basebands in counts of complete reflections at places (n,) in m, (n, n_t).
+
+    Repetitions of these echoes by the face are left out. The reported temperature is in degC.
+    """
     band, model = twin.band, twin.model
     shared = twin.point.shared.copy()
     for name in ("face_real", "face_imag"):
@@ -192,7 +202,10 @@ def _far_end(
     reach: float,
     temperature: float,
 ) -> tuple[Measured, Measured | None]:
-    """Return the reflection coefficient of the far end, and its distance where it is received."""
+    """Return the far end's reflection coefficient, and its distance in m if its echo is detected.
+
+    The echo is sought in `left`, (n_t,): within 3 % of a stated length, or beyond all closures.
+    """
     farthest = float(twin.model.places.max())
     low, high = (0.97 * length, 1.03 * length) if length else (farthest + 0.02, reach)
     high = min(high, reach)
@@ -220,7 +233,7 @@ def _far_end(
 def _clutter(
     twin: Twin, left: Complex, used: NDArray[np.bool_], places: Array, temperature: float
 ) -> tuple[Array, Measured, Complex]:
-    """Return the clutter: reflection coefficients (n_z,), reflected power per m, and echo (n_t,).
+    """Return the clutter: reflection coefficients (n_z,), power per m, and baseband (n_t,).
 
     `left` is the baseband of the untouched cycles without ring-down and far end, in counts, (n_t,).
     """
@@ -249,7 +262,7 @@ def _clutter(
 def _variations(
     untouched: Group, closed: Sequence[Group], means: Sequence[Means], carrier: float
 ) -> dict[str, Measured]:
-    """Return the noise in counts, and the scatter from cycle to cycle."""
+    """Return noise, offset, drift, jitter and wander, as described in :class:`Background`."""
     groups = [untouched, *closed]
     variances, levels, count = [], [], 0
     for group in groups:
@@ -275,7 +288,11 @@ def _variations(
 
 
 def _scatter(values: Sequence[Array], means: Sequence[Means], scale: float) -> Measured:
-    """Return the standard deviation of values within groups, less the contribution of noise."""
+    """Return the standard deviation of values within groups, less the contribution of noise.
+
+    `scale` is the phase or gain per unit of the values. Without a group of more than two values the
+    result is 0 with an infinite standard deviation.
+    """
     known = [(v, m.wobble / scale**2) for v, m in zip(values, means, strict=True) if len(v) > 2]
     if not known:
         return Measured(value=0.0, deviation=float("inf"))

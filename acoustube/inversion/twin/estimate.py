@@ -14,8 +14,16 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.report import ignore
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
-from acoustube.base.units import CM, MM
-from acoustube.inversion.twin.fit import Data, Normal, Point, Prior, best_start, maximise
+from acoustube.base.units import CM, MS
+from acoustube.inversion.twin.fit import (
+    SPEED,
+    Data,
+    Normal,
+    Point,
+    Prior,
+    best_start,
+    maximise,
+)
 from acoustube.inversion.twin.model import (
     NOMINAL_FREQUENCY,
     NOMINAL_RADIUS,
@@ -33,17 +41,17 @@ PRIORS = {
     "log_drive_frequency": (0.0, 0.1), "drive_cycles": (13.0, 8.0), "log_gain": (7.0, 5.0),
     "trigger": (0.0, 2e-4), "face_real": (0.3, 0.3), "face_imag": (0.0, 0.2),
 } | {name: (0.0, 0.01) for name in SHARED if name[-1] in "123"}  # fmt: skip
-"""Mean and standard deviation of each parameter of :data:`SHARED`. Logarithms are relative to a
-bore of 7.9 mm, a perfectly smooth wall and the received carrier. The standard deviation of the loss
-factor is due to the air's viscosity, which is known to 0.5 % and to whose root the losses are
+"""Prior mean and standard deviation of each parameter of :data:`SHARED`. The means of the resonance
+and of the drive's frequency are replaced by the received carrier. The standard deviation of the
+losses is due to the air's viscosity, which is known to 0.5 % and to whose root they are
 proportional, and to theories of the losses, which differ by 0.2 %. It holds at the assumed
 humidity: a change of the absorption in the air by a tenth is 1 % of the losses."""
 MODEL_ERRORS = {"temperature_offset": 0.05, "log_resonance": 2e-5, "log_quality": 2e-4}
 """Standard deviations due to effects that the model leaves out and that do not decrease with the
 number of closures: clutter that neighbouring closures share, and the thermometer's steps."""
 FIRST_PLACEMENT, FIRST_LEVEL, PHASE = 3e-3, 0.1, 1e3
-"""Prior standard deviations in the first fit of a closure's position in m, log level, and phase in
-rad."""
+"""Prior standard deviations of a closure's position in m, of its log level and of its phase in rad,
+in the first fit."""
 WINDOW = (-0.3e-3, 2.0e-3)
 """Start and end of the data used of an echo, in s from its arrival at the nominal sound speed."""
 SLACK = 0.01
@@ -54,20 +62,21 @@ WEAKEST = 4.0
 """Peak in counts below which rounding determines the level of an echo."""
 DITHERED = 0.4
 """Standard deviation of noise in counts above which rounding is linear on average."""
-SPEED = 343.2
 OUTLYING, LEAST_OUTLYING = 8.0, 6e-3
-"""Error of a stated position, in standard deviations and in m, above which it counts as wrong."""
+"""Error of a stated position, in standard deviations and in m, above both of which it counts as
+wrong."""
 BEYOND_END = 0.02
 """Distance in m by which a closure's label may exceed the stated length: the position of a plug in
 the far end may be that of either of its faces."""
 FEWEST = 2
+"""Least number of places of closures."""
 ROUNDS = 3
 """Number of fits, before each of which the error of the model is estimated."""
 
 
 @dataclass(frozen=True, eq=False)
 class Twin:
-    """Sensor that was fitted to recordings.
+    """Sensor fitted to recordings of closures: parameters, their posterior, and the data used.
 
     Attributes
     ----------
@@ -75,17 +84,19 @@ class Twin:
     model : EchoModel
         Model of the closures that are used.
     data : Data
+        Recordings of these closures.
     point : Point
         Maximum of the posterior.
     posterior : Posterior
     prior : Prior
     used : list of int
-        Numbers of the groups that are used.
+        Indices of the closed groups that are used.
     left_out : dict
-        Reasons why groups are left out, by number of the group.
+        Reasons why closed groups are left out, by index of the group.
     means : list of Means
         Means of all closed groups.
     untouched : Means
+        Mean of the untouched cycles.
     """
 
     band: Band
@@ -104,7 +115,7 @@ class Twin:
         return float(self.posterior.mean[SHARED.index(name)])
 
     def deviation(self, name: str) -> float:
-        """Return the posterior standard deviation of a parameter."""
+        """Return the posterior standard deviation of a parameter of :data:`SHARED`."""
         i = SHARED.index(name)
         return float(np.sqrt(self.posterior.covariance[i, i]))
 
@@ -135,15 +146,16 @@ def fit_twin(
     Parameters
     ----------
     closed : sequence of Group
-        One for each closure.
+        Cycles of the tube closed at a known place, one group for each closure.
     untouched : Group
+        Cycles without contact.
     rate : float
         Samples per second.
     start : float
         Time of the first sample in s from the start of the drive.
     length : float, optional
-        Length of the tube in m, by default the distance of the farthest closure. At half of it the
-        temperature has its mean.
+        Length of the tube in m, by default the distance of the farthest closure. The temperature
+        has its mean at half this length.
     humidity : float, optional
         Relative humidity of the air in per cent. The estimated temperature is then that of moist
         air; by default it is that at which dry air has the estimated speed of sound.
@@ -153,8 +165,8 @@ def fit_twin(
     Raises
     ------
     ConfigError
-        If a closure lies beyond the end of the tube, or fewer than two can be used; the first
-        reason is named.
+        If a closure lies beyond the end of the tube; if closures at fewer than two places can be
+        used, with the first reason; or as :func:`acoustube.inversion.twin.recorded.band_of`.
     """
     _check_places(closed, length)
     band = band_of(closed, untouched.cycles, rate, start)
@@ -171,7 +183,7 @@ def fit_twin(
     used = [i for i in range(len(closed)) if i not in left_out]
     values = band.baseband(np.array([means[i].spectrum - near for i in range(len(closed))]))
     places = np.array([group.place for group in closed])
-    middle = (length or float(places.max())) / 2
+    middle = (length or float(np.max(places[used], initial=0.0))) / 2
     best: Twin | None = None
     temperatures = np.array([group.temperature for group in closed])
     for filtered in (True,) if band.frequency[-1] < 0.4 * rate else (True, False):
@@ -204,7 +216,7 @@ def _fitted(
     closed: Sequence[Group],
     show: Callable[[str, float], None],
 ) -> Twin:
-    """Return the fit with one model, after closures that it cannot explain are left out."""
+    """Return the sensor fitted with one model, without closures that it cannot explain."""
     band, prior = model.band, _first_prior(model.band, len(values))
     floors = np.array([one.variance for one in means]) + _rounding(closed, band)
     while True:
@@ -272,7 +284,7 @@ def _windowed(model: EchoModel, values: Complex, floors: Array) -> Data:
 
 
 def _rounding(closed: Sequence[Group], band: Band) -> Array:
-    """Return the variance in the baseband that rounding leaves in a mean, (n,)."""
+    """Return the variance in counts squared that rounding adds to means in the baseband, (n,)."""
     found = []
     for group in closed:
         whole = np.issubdtype(group.cycles.dtype, np.integer)
@@ -282,20 +294,23 @@ def _rounding(closed: Sequence[Group], band: Band) -> Array:
 
 
 def _quantised_levels(closed: Sequence[Group], data: Data, part: Array) -> Array:
-    """Return the standard deviations of the log levels due to rounding without dither, (n,)."""
+    """Return the standard deviations of the log levels due to rounding, if to integers, (n,)."""
     peaks = np.where(data.segments == 1, np.abs(data.values), 0).max(axis=1)
     whole = [np.issubdtype(closed[i].cycles.dtype, np.integer) for i in part]
     return np.where(whole, 0.3 * np.maximum(peaks, 1.0) ** -1.5, 0.0)
 
 
 def _unusable(band: Band, group: Group, spectrum: Complex, rails: tuple[float, float]) -> str:
-    """Return why a closure cannot be used, or an empty string; rails are the extreme counts."""
+    """Return why a closure cannot be used, or an empty string if it can be.
+
+    `rails` are the smallest and the largest count of all cycles.
+    """
     flight = 2 * group.place / SPEED
     if not np.isfinite(group.place) or group.place <= 0:
         return f"its stated distance is {CM * group.place:g} cm"
     if (1 - SLACK) * flight < band.first:
         return (
-            f"its echo arrives within the ring-down, which lasts {MM * band.first:.2g} ms; close "
+            f"its echo arrives within the ring-down, which lasts {MS * band.first:.2g} ms; close "
             f"the tube at {CM * (0.5 * SPEED * band.first + 0.02):.0f} cm or farther"
         )
     if flight + 0.8e-3 > band.last:
@@ -317,7 +332,10 @@ def _unusable(band: Band, group: Group, spectrum: Complex, rails: tuple[float, f
 
 
 def _wrong(model: EchoModel, data: Data, point: Point) -> dict[int, str]:
-    """Return the closures, by number, that the model cannot explain, and why."""
+    """Return the closures, by index, that the model cannot explain, and why.
+
+    These are all closures without an echo, else the one of the most outlying position.
+    """
     inside = data.segments == 1
     left = _sums(np.abs(data.values - model(*point).value) ** 2, inside)
     share = 1 - left / np.maximum(_sums(np.abs(data.values) ** 2, inside), 1e-300)
@@ -340,7 +358,7 @@ def _wrong(model: EchoModel, data: Data, point: Point) -> dict[int, str]:
 
 
 def _line_removed(places: Array, error: Array) -> Array:
-    """Return the errors of positions relative to the line of least absolute deviations."""
+    """Return the errors of positions (n,) less their line of least absolute deviations."""
     design = np.stack([np.ones_like(places), places], axis=1)
     weight = np.ones_like(places)
     left = error

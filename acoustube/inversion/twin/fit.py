@@ -27,31 +27,37 @@ from acoustube.inversion.twin.model import LOCAL, NOMINAL_FREQUENCY, SHARED, Ech
 from acoustube.inversion.twin.recorded import Band
 from acoustube.waves.scattering import Complex
 
+SPEED = 343.2
+"""Nominal speed of sound in m/s."""
 ITERATIONS, CONVERGED = 40, 1e-6
-"""Largest number of steps, and decrease of the objective per step below which the fit ends."""
+"""Largest number of steps, and decrease of the objective per step below which the fit ends. The
+latter is multiplied by 1e-4 of the objective where that exceeds 1."""
 FIRST_DAMPING, LEAST_DAMPING = 1e-2, 1e-9
+"""Initial and least damping of the steps."""
 QUALITY_FACTORS = (5.0, 10.0, 20.0, 40.0)
 DRIVE_CYCLES = (4.0, 7.0, 10.0, 13.0, 16.0, 19.0, 22.0, 25.0)
 DETUNED = (-0.06, -0.04, -0.02, 0.0, 0.02, 0.04, 0.06)
-"""Starting values of the quality factor, of the drive's periods, and of the logarithm of the
-resonance over the received carrier."""
+"""Starting values of the quality factor, of the number of the drive's periods, and of the logarithm
+of the resonance over the received carrier."""
 WHOLE_CYCLES, HALF_CYCLES = (-1.0, 0.0, 1.0), (-0.5, 0.5)
-"""Changes of the burst's length in periods with which the fit is started again."""
+"""Changes of the burst's length in periods with which the fit is started again: first from each
+starting point, then from the best maxima."""
 BEST, ROUNDS = 3, 2
-"""Number of the best maxima that are kept, and of rounds with other bursts."""
+"""Number of the best maxima that are followed, and number of rounds in which they are."""
 SHARPER = 30.0
 """Factor by which the variances are reduced before the best maximum is chosen."""
 WRAPS = (-0.5, 0.0, 0.5)
-"""Delays of the drive in periods with which the fit of the echoes' repetitions is started."""
+"""Delays of the drive in periods from which the fit of echoes with their repetitions starts."""
 SEARCHED, SEARCH_STEP = 0.4e-3, 4e-6
 """Half range and step in s of the delays at which the echo of a closure is sought."""
 SEARCH_CLOSURES, SEARCH_ITERATIONS = 6, 20
-"""Number of closures with which the search starts, and of iterations from each starting point."""
+"""Number of closures used in the search for the best maximum, and number of iterations from each
+starting point."""
 
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """Closures in the baseband.
+    """Recorded closures in the baseband, and the variance of their noise.
 
     Attributes
     ----------
@@ -60,9 +66,9 @@ class Data:
     segments : ndarray of int
         Segment of each sample: 1 about the echo, 2 about its repetition, 0 elsewhere; (n, n_t).
     variances : ndarray
-        Variances of the noise in both segments, in counts squared, (n, 2).
+        Variances of the noise in segments 1 and 2, in counts squared, (n, 2).
     clutter : ndarray
-        Power density of the clutter relative to that of the echo, in both segments, (n, 2).
+        Power density of the clutter relative to that of the echo, in segments 1 and 2, (n, 2).
     """
 
     values: Complex
@@ -79,14 +85,14 @@ class Data:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Normal priors.
+    """Independent normal priors of the parameters of a sensor and of its closures.
 
     Attributes
     ----------
     mean, deviation : ndarray
         Means and standard deviations of the shared parameters, (n_shared,).
     local : ndarray
-        Standard deviations of the parameters of each closure, whose means are 0, (n, n_local).
+        Standard deviations of the parameters of each closure, (n, n_local); their means are 0.
     """
 
     mean: Array
@@ -102,20 +108,21 @@ class Point(NamedTuple):
 
 
 class Normal(NamedTuple):
-    """Normal equations of the data, without priors: half the Hessian, and minus half the gradient.
+    """Normal equations of weighted least squares, without priors.
 
     Attributes
     ----------
     shared : ndarray
-        (n_shared, n_shared).
+        Half the Gauss-Newton Hessian by the parameters of the sensor, (n_shared, n_shared).
     mixed : ndarray
-        (n, n_shared, n_local).
+        That by parameters of the sensor and of each closure, (n, n_shared, n_local).
     local : ndarray
-        (n, n_local, n_local).
+        That by the parameters of each closure, (n, n_local, n_local).
     right_shared, right_local : ndarray
-        (n_shared,), (n, n_local).
+        Minus half the gradient by the parameters of the sensor, (n_shared,), and of each closure,
+        (n, n_local).
     misfit : float
-        Sum of the weighted squares.
+        Weighted sum of the squared residuals.
     """
 
     shared: Array
@@ -150,7 +157,7 @@ def normal_equations(model: EchoModel, data: Data, point: Point) -> Normal:
 
 
 def solve(normal: Normal, prior: Prior, point: Point, damping: float) -> tuple[Array, Array]:
-    """Return the damped steps of the shared parameters and of the parameters of the closures."""
+    """Return damped steps of the parameters of sensor, (n_shared,), and closures, (n, n_local)."""
     precision, local_precision = prior.deviation**-2.0, prior.local**-2.0
     a = normal.shared + np.diag(precision)
     c = normal.local + local_precision[:, :, None] * np.eye(normal.local.shape[1])
@@ -177,7 +184,7 @@ def objective(misfit: float, prior: Prior, point: Point) -> float:
 def maximise(
     model: EchoModel, data: Data, prior: Prior, point: Point, iterations: int = ITERATIONS
 ) -> tuple[Point, Normal, float]:
-    """Return the maximum of the posterior, the normal equations there and the objective."""
+    """Return the maximum of the posterior, and the normal equations and the objective there."""
     normal = normal_equations(model, data, point)
     value, damping = objective(normal.misfit, prior, point), FIRST_DAMPING
     for _ in range(iterations):
@@ -199,7 +206,7 @@ def maximise(
 
 
 def _bounded(shared: Array, local: Array) -> tuple[Array, Array]:
-    """Return parameters within the range in which the model is defined."""
+    """Clip parameters to the range in which the model is defined, in place; return them."""
     limits = {
         "log_radius": (log(0.3), log(4.0)), "temperature_offset": (-30.0, 30.0),
         "log_quality": (log(0.5), log(300.0)), "drive_cycles": (0.6, 100.0),
@@ -227,8 +234,8 @@ def start_points(model: EchoModel, data: Data, prior: Prior) -> list[Point]:
 
     Notes
     -----
-    The delay of each closure is that at which the magnitude of the correlation is largest. It does
-    not depend on the carrier's phase, which is ambiguous by half wavelengths.
+    The delay of each closure is that at which the magnitude of the correlation is largest. This
+    magnitude does not depend on the carrier's phase, which is ambiguous by half wavelengths.
     """
     base = log(model.band.carrier / NOMINAL_FREQUENCY)
     points = []
@@ -250,12 +257,15 @@ def _placed(model: EchoModel, data: Data, shared: Array) -> Point:
     """Return a point with the displacements, levels and phases of the closures that fit best."""
     delays, _ = _delays(model, data, shared)
     local = np.zeros((len(delays), len(LOCAL)))
-    local[:, 0] = 0.5 * 343.2 * delays
+    local[:, 0] = 0.5 * SPEED * delays
     return _levelled(model, data, Point(shared.copy(), local))
 
 
 def _delays(model: EchoModel, data: Data, shared: Array) -> tuple[Array, Array]:
-    """Return the delays in s of the echoes, and the fraction of their energy that is explained."""
+    """Return the delays in s of the echoes relative to the model's, and explained fractions, (n,).
+
+    The fractions are those of the echoes' energy that the delayed model explains.
+    """
     values = model.value(shared, np.zeros((len(model.places), len(LOCAL))))
     heard = np.where(data.segments == 1, data.values, 0)
     # Both basebands begin at the same time, whose phase cancels in the product of their transforms.
@@ -279,7 +289,7 @@ def _delays_sought() -> Array:
 
 
 def _levelled(model: EchoModel, data: Data, point: Point) -> Point:
-    """Return a point with the gain, and the phases of the closures, that fit best."""
+    """Return a point with the gain, and the levels and phases of closures, that fit best."""
     value = model.value(*point)
     heard = np.where(data.segments == 1, 1.0, 0.0)
     product = np.sum(heard * data.values * value.conj(), axis=1)
@@ -295,11 +305,13 @@ def _levelled(model: EchoModel, data: Data, point: Point) -> Point:
 def best_start(model: EchoModel, data: Data, prior: Prior, show: Callable[[float], None]) -> Point:
     """Return the best of the maxima that are reached from the starting points.
 
+    `show` is called with the finished fraction.
+
     Notes
     -----
     Each number of periods of the burst has a maximum of its own. The best is chosen by the
-    strongest closures alone, first among whole numbers of periods, then among half ones. In the end
-    the number is a free parameter.
+    strongest closures alone, first with bursts longer or shorter by whole periods, then by half
+    periods. In the last fits the number of periods is a free parameter.
     """
     energy = np.where(data.segments == 1, np.abs(data.values) ** 2, 0).sum(axis=1)
     few = np.argsort(-energy)[:SEARCH_CLOSURES]
@@ -354,7 +366,7 @@ def _later(point: Point, turns: float) -> Point:
     shared, local = point.shared.copy(), point.local.copy()
     carrier = NOMINAL_FREQUENCY * exp(shared[SHARED.index("log_drive_frequency")])
     shared[SHARED.index("trigger")] += turns / carrier
-    local[:, 0] -= 0.5 * 343.2 * turns / carrier
+    local[:, 0] -= 0.5 * SPEED * turns / carrier
     return Point(shared, local)
 
 
@@ -369,7 +381,10 @@ def _frozen(prior: Prior, cycles: float) -> Prior:
 def _other_burst(
     model: EchoModel, data: Data, prior: Prior, point: Point, step: float
 ) -> Point | None:
-    """Return a start with a burst that is longer by some periods about the same middle."""
+    """Return a starting point with a burst longer by `step` periods, about the same middle.
+
+    The length is rounded to half periods. None if the burst would be shorter than one period.
+    """
     shared = point.shared.copy()
     cycles, trigger = (SHARED.index(name) for name in ("drive_cycles", "trigger"))
     longer = round(2 * shared[cycles]) / 2 + step

@@ -22,11 +22,11 @@ PRIOR_ZERO, PRIOR_COMPLIANCE = 3e-4, 5e-4
 what the tube lies on; that of soft tissue is 1e-4 to 5e-4."""
 FORCE_SCATTERS = np.geomspace(0.002, 0.5, 24)
 DEPTH_SCATTERS = np.geomspace(2e-6, 1e-3, 24)
-"""Relative scatters of the stated forces, and scatters in m of the stated depths, over which the
-results are averaged."""
+"""Standard deviations of the stated forces (relative) and of the stated depths (in m) over which
+the results are averaged."""
 USUAL_FORCE, USUAL_DEPTH, WIDTH = 0.03, 5e-5, 1.0
-"""Prior medians of the scatters of the forces (relative) and of the depths (in m), and the prior
-standard deviation of the logarithms of both."""
+"""Prior medians of these standard deviations, of forces (relative) and of depths (in m), and prior
+standard deviation of their logarithms."""
 ECHO_DEPTH = 3e-5
 """Standard deviation in m of depths from an echo due to errors of the model, which the posterior of
 the depth leaves out."""
@@ -36,7 +36,7 @@ OUTLYING, LEAST_OUTLYING, FEWEST_OUTLYING = 6.0, 0.1, 5
 """Residual of the log force above which a press is left out, in standard deviations (estimated from
 the median deviation) and absolute, and least number of presses for this test."""
 SIGNIFICANT = 3.0
-"""Compliance in its standard deviations above which the ground is reported to yield."""
+"""Ratio of the compliance to its standard deviation above which the ground is reported to yield."""
 
 
 class Press(NamedTuple):
@@ -46,9 +46,9 @@ class Press(NamedTuple):
     ----------
     tool : Tool
     depth, depth_deviation : float
-        Compression of the tube in m estimated from the echo, and its standard deviation.
+        Compression of the tube in m estimated from the echo, and its standard deviation in m.
     stated_depth : float
-        Travel of the tool from first contact, in m: the tube's compression and the ground's.
+        Stated travel of the tool from first contact in m: the tube's compression plus the ground's.
     force : float
         Stated force in N.
     """
@@ -62,22 +62,23 @@ class Press(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Material:
-    """Wall and ground of a tube.
+    """Stiffness of a tube's wall and compliance of the ground, estimated from n presses.
 
     Attributes
     ----------
     young_modulus : Measured
-        Of the wall in Pa.
+        Young's modulus of the wall in Pa.
     poisson_ratio : float
-        Assumed.
+        Assumed Poisson's ratio of the wall.
     compliance : Measured
-        Of the ground in m/N.
+        Compliance of the ground in m/N.
     zero : Measured
         Stated depth in m at first contact.
     expected : ndarray
-        Forces in N expected from modulus and depths, nan without a depth, (n,).
+        Forces in N expected from the modulus and the depths, (n,); nan where the depth is not known
+        or outside the library's.
     left_out : dict
-        Reasons why presses are left out, by number of the press.
+        Reasons why presses are left out, by index of the press.
     yields : bool
         Whether the compliance exceeds :data:`SIGNIFICANT` standard deviations.
     """
@@ -103,7 +104,7 @@ def fit_material(presses: Sequence[Press]) -> Material:
     Raises
     ------
     ConfigError
-        If there is no press, or the library's modulus is not known.
+        If there is no press, or the modulus of the tools is not known or differs.
 
     Notes
     -----
@@ -113,7 +114,12 @@ def fit_material(presses: Sequence[Press]) -> Material:
     stated one. The ground yields by ``c F``: stated depths are ``d_0 + d + c F``. Both are fitted
     by linear least squares, averaged over the unknown scatter of the labels.
     """
-    modulus = presses[0].tool.young_modulus if presses else np.nan
+    moduli = np.unique([one.tool.young_modulus for one in presses])
+    if len(moduli) > 1:
+        raise ConfigError(
+            "the presses are of tools whose libraries differ in Young's modulus; use one library"
+        )
+    modulus = float(moduli[0]) if presses else np.nan
     if not np.isfinite(modulus):
         raise ConfigError(
             "the library does not state a modulus that its forces are proportional to; make one on "
@@ -129,7 +135,7 @@ def fit_material(presses: Sequence[Press]) -> Material:
     ]
     load = np.where(np.isfinite(force), force, np.array(usual, float))
     zero, compliance = _ground(told, sure, stated, load)
-    # Without a depth from the echo it is that of the label, less its origin and the ground's part.
+    # Without an echo the depth is the stated one, less its origin and the ground's compression.
     depth = np.where(np.isfinite(told), told, stated - zero.value)
     sunk = np.where(np.isfinite(force), compliance.value * force, 0.0)
     depth = np.where(np.isfinite(told), depth, depth - sunk)
@@ -148,7 +154,10 @@ def fit_material(presses: Sequence[Press]) -> Material:
 
 
 def _ground(told: Array, sure: Array, stated: Array, load: Array) -> tuple[Measured, Measured]:
-    """Return the origin of the stated depths, and the ground's compliance under forces in N."""
+    """Return the origin of the stated depths in m, and the ground's compliance in m/N.
+
+    Depths from the echo, their standard deviations and stated depths are in m, loads in N, (n,).
+    """
     known = np.isfinite(told) & np.isfinite(stated)
     design = np.stack([np.ones(known.sum()), load[known]], axis=1)
     mean, covariance = _averaged(
@@ -165,7 +174,10 @@ def _ground(told: Array, sure: Array, stated: Array, load: Array) -> tuple[Measu
 def _stiffness(
     presses: Sequence[Press], depth: Array, sure: Array, force: Array
 ) -> tuple[Measured, Array, dict[int, str]]:
-    """Return the log modulus over the library's, the library's forces, and presses left out."""
+    """Return the log of the modulus over the library's, the library's forces, and presses left out.
+
+    Depths and their standard deviations are in m, stated forces and the library's in N, (n,).
+    """
     known, left_out = np.zeros(len(presses), bool), {}
     log_force, slope, expected = np.zeros((3, len(presses)))
     expected[:] = np.nan
@@ -213,15 +225,18 @@ def _averaged(
     Parameters
     ----------
     design, target, variance : ndarray
-        (n, p), (n,) and (n,); the variances are those known besides the scatter.
+        Design matrix (n, p), data (n,), and the part of their variance that is known, (n,).
     prior : ndarray
         Standard deviations of the parameters about zero, (p,).
     scatters : ndarray
-        Standard deviations that are averaged over, (n_s,), log-normal a priori about `usual`.
+        Standard deviations of the data's scatter that are averaged over, (n_s,).
+    usual : float
+        Median of their log-normal prior.
 
     Returns
     -------
     mean, covariance : ndarray
+        (p,) and (p, p).
     """
     weight, means, covariances = [], [], []
     for scatter in scatters:

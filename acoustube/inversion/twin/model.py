@@ -27,12 +27,20 @@ SHARED = (
     "log_quality", "log_drive_frequency", "drive_cycles", "log_gain", "trigger", "face_real",
     "face_imag", "level_1", "level_2", "level_3", "phase_2", "phase_3",
 )  # fmt: skip
-"""Parameters of the sensor: level_k and phase_k are coefficients of x^k, with x from -1 to 1 over
-the band, in the logarithm of the send pulse's spectrum."""
+"""Parameters of the sensor. Names with ``log_`` are natural logarithms: of the bore's radius over
+`NOMINAL_RADIUS`, of resonance and drive frequency over `NOMINAL_FREQUENCY`, of the quality factor,
+of the gain in counts, and of the losses over those of a smooth wall. The temperature's offset is in
+K and its gradient along the tube in K/m, the trigger's delay in s, the drive's length in periods.
+``face`` is the reflection coefficient of the face. ``level_k`` and ``phase_k`` are the real and the
+imaginary part of the coefficient of x^k in the logarithm of the send pulse's spectrum, with x from
+-1 to 1 over the band."""
 LOCAL = ("displacement", "log_level", "phase")
-"""Parameters of each closure."""
+"""Parameters of each closure: its distance in m beyond the stated one, logarithm of the level of
+its echo, and phase of its echo in rad."""
 CORRECTIONS = tuple(SHARED.index(name) for name in SHARED if name[-1] in "123")
+"""Indices of the coefficients ``level_k`` and ``phase_k`` in :data:`SHARED`."""
 NOMINAL_RADIUS, NOMINAL_FREQUENCY = 3.95e-3, 42e3
+"""Radius of the bore in m and frequency in Hz to which the logarithms are relative."""
 WARMER = 1.0
 """Step in K of the finite differences by temperature."""
 RADIUS_STEP = 1e-4
@@ -49,9 +57,9 @@ class Echoes(NamedTuple):
     value : ndarray
         Baseband in counts, (n, n_t).
     by_shared : ndarray
-        (n, n_shared, n_t).
+        Derivatives by the parameters of the sensor, (n, n_shared, n_t).
     by_local : ndarray
-        (n, n_local, n_t).
+        Derivatives by the parameters of the closure, (n, n_local, n_t).
     """
 
     value: Complex
@@ -60,9 +68,10 @@ class Echoes(NamedTuple):
 
 
 class Waves(NamedTuple):
-    """Axial wavenumber at a temperature, its derivatives, and its lossless part, (n_f,).
+    """Axial wavenumber in 1/m at a temperature, its derivatives, and its lossless part, (n_f,).
 
     `curvature` is the second derivative by temperature, `mixed` that by temperature and log radius.
+    Derivatives by temperature are per K.
     """
 
     value: Complex
@@ -83,9 +92,9 @@ class EchoModel:
     places, temperatures : ndarray
         Stated distances in m, and reported temperatures in degC, (n,).
     middle : float
-        Distance in m at which the temperature has its mean.
+        Distance in m at which the temperature along the tube has its mean.
     filtered : bool
-        Whether the anti-alias filter of :mod:`acoustube.ranging` is included.
+        Whether the recorder's anti-alias filter is included.
     humidity : float or None
         Relative humidity in per cent for the speed of sound in moist air; None for dry air.
     """
@@ -98,7 +107,7 @@ class EchoModel:
     humidity: float | None = None
 
     def __call__(self, shared: Array, local: Array) -> Echoes:
-        """Return the echoes for parameters (n_shared,) and (n, n_local)."""
+        """Return the echoes for parameters `shared`, (n_shared,), and `local`, (n, n_local)."""
         return Echoes(*self._basebands(shared, local, slopes=True))
 
     def value(self, shared: Array, local: Array) -> Complex:
@@ -116,7 +125,11 @@ class EchoModel:
     def _spectra(
         self, f: Array, shared: Array, local: Array, slopes: bool = True
     ) -> tuple[Complex, ...]:
-        """Return the spectra in counts s and, with `slopes`, their derivatives."""
+        """Return spectra of the echoes in counts s, (n, n_f), at frequencies `f` in Hz, (n_f,).
+
+        With `slopes` they are followed by their derivatives, (n, n_shared, n_f) and
+        (n, n_local, n_f).
+        """
         p = dict(zip(SHARED, shared.tolist(), strict=True))
         drive, by_drive, by_cycles = square_burst(
             f, NOMINAL_FREQUENCY * exp(p["log_drive_frequency"]), p["drive_cycles"]
@@ -160,7 +173,7 @@ class EchoModel:
     def _path(
         self, f: Array, p: dict[str, float], displacement: Array
     ) -> tuple[Complex, dict[str, Complex]]:
-        """Return the phase to each closure and back, (n, n_f), and its derivatives."""
+        """Return the phase in rad to each closure and back, (n, n_f), and derivatives by name."""
         air = float(np.mean(self.temperatures)) + p["temperature_offset"]
         waves = wavenumbers(f, NOMINAL_RADIUS * exp(p["log_radius"]), air, self.humidity)
         loss = exp(p["log_loss"])
@@ -191,19 +204,20 @@ class EchoModel:
 def square_burst(
     frequency: Array, carrier: float, cycles: float
 ) -> tuple[Complex, Complex, Complex]:
-    """Return the spectrum of a square burst in s, and its derivatives.
+    """Return the spectrum in s of a square burst of unit amplitude, and its derivatives.
 
     Parameters
     ----------
     frequency : ndarray
         In Hz, not zero, (n,).
     carrier, cycles : float
-        Frequency in Hz, and number of periods.
+        Frequency of the burst in Hz, and its length in periods.
 
     Returns
     -------
     value, by_log_carrier, by_cycles : ndarray
-        (n,), as :meth:`acoustube.ranging.Burst.spectrum`.
+        Spectrum, as :meth:`acoustube.ranging.Burst.spectrum`, and its derivatives by the logarithm
+        of the carrier and by the number of periods, (n,).
     """
     omega, end = 2 * pi * frequency, cycles / carrier
     edges = np.arange(int(np.ceil(2 * cycles))) / (2 * carrier)
@@ -231,18 +245,19 @@ def wavenumbers(
     Parameters
     ----------
     frequency : ndarray
-        In Hz, evenly spaced, (n,).
+        Frequencies in Hz, (n,).
     radius : float
-        Of the bore in m.
+        Radius of the bore in m.
     temperature : float
-        Of the air in degC; beyond the range of :func:`acoustube.air.air_at` its end is used.
+        Temperature of the air in degC. It is limited to the range of :func:`acoustube.air.air_at`
+        less 1 K at both ends.
     humidity : float, optional
         Relative humidity of moist air in per cent; dry air by default.
 
     Notes
     -----
-    Computed at Chebyshev points and interpolated: a power series of 12 terms in the frequency
-    and its root converges to 1e-12 over a fifth of the carrier to both sides.
+    Computed at Chebyshev points and interpolated by a polynomial of 12 terms, which converges to
+    1e-12 over a fifth of the carrier to both sides.
     """
     low, high = float(frequency.min()), float(frequency.max())
     nodes = _at_nodes(low, high, radius, temperature, humidity)
@@ -254,7 +269,7 @@ def wavenumbers(
 def _at_nodes(
     low: float, high: float, radius: float, temperature: float, humidity: float | None
 ) -> Complex:
-    """Return Chebyshev coefficients of the wavenumber and its derivatives, (n_nodes, 6)."""
+    """Return Chebyshev coefficients of the fields of :class:`Waves` over a band, (n_nodes, 6)."""
     points = np.polynomial.chebyshev.chebpts1(NODES)
     frequency = (low + high + points * (high - low)) / 2
     coldest, warmest = TEMPERATURES

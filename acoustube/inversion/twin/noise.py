@@ -24,12 +24,13 @@ LEAST_LEFT = 0.1
 
 
 class Score(NamedTuple):
-    """Covariance of the gradient of half the weighted sum of squares, for each closure.
+    """Covariance of the score: the gradient of half the weighted sum of squares, for each closure.
 
     Attributes
     ----------
     shared, mixed, local : ndarray
-        (n, n_shared, n_shared), (n, n_shared, n_local) and (n, n_local, n_local).
+        Blocks of the parameters of the sensor, (n, n_shared, n_shared), of these and those of the
+        closure, (n, n_shared, n_local), and of the latter alone, (n, n_local, n_local).
     """
 
     shared: Array
@@ -44,21 +45,21 @@ def with_variances(model: EchoModel, data: Data, prior: Prior, point: Point, flo
     ----------
     model : EchoModel
     data : Data
-        Data with the variances that were used in the fit.
+        Data of n closures, with the variances that were used in the fit.
     prior : Prior
     point : Point
         Maximum of the posterior with these variances.
     floors : ndarray
-        Variance of the white noise, (n,).
+        Variance of the white noise in counts squared, (n,).
 
     Notes
     -----
-    The power density of the noise is ``a P + b W``, where P is that of the echo and W, of mean one,
-    that of white noise in the tapered band. The residuals ``(I - H) n`` of a linear least-squares
-    fit with the hat matrix H have the power ``tr[P (I - H) (a P + b W) (I - H)^T]`` weighted by P,
-    from which a follows. What noise of other closures and of the other segment contributes through
-    the parameters is neglected. The variance is the mean density weighted by P, and at least the
-    variance of the residuals.
+    The power density of the noise is ``a P + b W``: P is that of the echo, W that of white noise in
+    the tapered band, of mean one, and b its variance in `floors`. The residuals ``(I - H) n`` of a
+    linear least-squares fit with the hat matrix H have, weighted by P, the power
+    ``tr[P (I - H) (a P + b W) (I - H)^T]``, from which a follows. The noise of other closures and
+    of the other segment, which contributes through the parameters, is neglected. The variance is
+    the mean density weighted by P, and at least the variance of the residuals.
     """
     echoes = model(*point)
     covariance = _joint_covariance(normal_equations(model, data, point), prior)
@@ -85,7 +86,7 @@ def with_variances(model: EchoModel, data: Data, prior: Prior, point: Point, flo
             remaining.append(np.maximum(whole - taken + again, LEAST_LEFT * whole))
         a = np.maximum((power * left).sum(axis=1) - floors * remaining[1], 0)
         a /= np.maximum(remaining[0], 1e-300)
-        # A single value is uncertain: averaged with the median of closures that have the segment.
+        # A single closure's value is uncertain: it is averaged with the median over the closures.
         heard = inside.any(axis=1)
         a = np.where(heard, (a + np.median(a[heard])) / 2, 0.0) if heard.any() else a
         mean, mean_white = _means(power, white)
@@ -126,9 +127,9 @@ def _white(model: EchoModel) -> Array:
 
 
 def _means(power: Array, white: Array) -> tuple[Array, Array]:
-    """Return the means (n,), weighted by the power (n, n_t), of the power and of white noise.
+    """Return the means over frequency, weighted by power, of power and white density, (n,) each.
 
-    The latter is at least one, also where there is no power.
+    Both are given as (n, n_t). The second mean is at least one, also where there is no power.
     """
     total = np.maximum(power.sum(axis=1), 1e-300)
     own, other = ((power * one).sum(axis=1) / total for one in (power, white))
@@ -136,7 +137,7 @@ def _means(power: Array, white: Array) -> tuple[Array, Array]:
 
 
 def _joint_covariance(normal: Normal, prior: Prior) -> Array:
-    """Return the covariances of the shared parameters and of those of each closure, (n, m, m)."""
+    """Return the joint covariance of the shared parameters and those of each closure, (n, m, m)."""
     local = normal.local + (prior.local**-2.0)[:, :, None] * np.eye(len(LOCAL))
     inverse = np.linalg.inv(local)
     passed = normal.mixed @ inverse

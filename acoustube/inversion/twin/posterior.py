@@ -20,27 +20,32 @@ from acoustube.inversion.twin.model import CORRECTIONS, LOCAL
 from acoustube.inversion.twin.noise import Score
 
 PLACEMENTS = np.geomspace(0.02e-3, 10e-3, 13)
+"""Standard deviations in m of the stated positions of closures that are marginalised over."""
 LEVELS = np.geomspace(3e-4, 0.3, 13)
+"""Standard deviations of the log levels of closures that are marginalised over."""
 COLOURS = np.geomspace(1e-4, 0.1, 7)
-"""Standard deviations that are marginalised over: of the positions of closures in m, of their log
-levels, and of the coefficients of the send pulse's correction."""
+"""Standard deviations of the coefficients of the send pulse's correction (``level_k``, ``phase_k``)
+that are marginalised over."""
 USUAL = ((1e-3, 1.5), (0.02, 1.5), (0.01, 2.0))
-"""Log-normal priors of the three above: median, and standard deviation of the logarithm."""
+"""Log-normal priors of these standard deviations, in the order of :data:`PLACEMENTS`,
+:data:`LEVELS` and :data:`COLOURS`: median, and standard deviation of the logarithm."""
 
 
 class Posterior(NamedTuple):
-    """Posterior of the shared parameters.
+    """Posterior of the sensor's parameters, and of the errors of the stated positions.
 
     Attributes
     ----------
     mean : ndarray
+        Means of the parameters, in the order of :data:`acoustube.inversion.twin.model.SHARED`,
         (n_shared,).
     covariance : ndarray
-        (n_shared, n_shared).
+        Covariance of the parameters, (n_shared, n_shared).
     placement, level, colour : float
-        Most likely scatter of positions (m), of log levels and of the correction's coefficients.
+        Most likely standard deviations of positions in m, of log levels and of the correction's
+        coefficients.
     displacement, displacement_deviation : ndarray
-        Errors of the stated positions in m, and their standard deviations, (n,).
+        Errors of the n stated positions in m, and their standard deviations, (n,).
     """
 
     mean: Array
@@ -53,7 +58,7 @@ class Posterior(NamedTuple):
 
 
 def with_scatter(prior: Prior, placement: float, level: Array | float, colour: float) -> Prior:
-    """Return priors with the scatter of closures and of the correction."""
+    """Return priors with given standard deviations of positions, log levels and correction."""
     deviation = prior.deviation.copy()
     deviation[list(CORRECTIONS)] = colour
     local = prior.local.copy()
@@ -64,7 +69,7 @@ def with_scatter(prior: Prior, placement: float, level: Array | float, colour: f
 def posterior(
     normal: Normal, prior: Prior, point: Point, extra_level: Array, score: Score | None = None
 ) -> Posterior:
-    """Return the posterior, averaged over the unknown scatter of the closures.
+    """Return the posterior of a sensor's parameters, averaged over the scatter of the closures.
 
     Parameters
     ----------
@@ -83,8 +88,9 @@ def posterior(
     The model is linearised at the maximum. For a given scatter the posterior is normal and its
     evidence has a closed form. The average over a grid has the mean and the covariance of the
     mixture; with few closures it is wider, as Student's distribution is. With a score, the
-    covariance of the shared parameters is White's, which is that of the estimate under this noise;
-    the variances of the positions follow from the weights.
+    covariance of the shared parameters is White's, which is that of the estimate under this noise.
+    The variance of a position is then the part due to its own data, which follows from the weights,
+    and that through the shared parameters.
     """
     cases = list(product(PLACEMENTS, LEVELS, COLOURS))
     n, p = len(point.local), len(point.shared)
@@ -115,7 +121,7 @@ def posterior(
 def _given(
     normal: Normal, prior: Prior, point: Point, score: Score | None = None
 ) -> tuple[float, Array, Array, Array, Array]:
-    """Return log evidence, mean, covariance, displacements and their variances for a scatter."""
+    """Return log evidence, mean, covariance, displacements and their variances for one scatter."""
     precision, local_precision = prior.deviation**-2.0, prior.local**-2.0
     a = normal.shared + np.diag(precision)
     c = normal.local + local_precision[:, :, None] * np.eye(len(LOCAL))

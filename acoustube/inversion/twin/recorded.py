@@ -38,12 +38,12 @@ AFTER_CLIPPING, FADE, SETTLED = 0.05e-3, 0.2e-3, 0.15e-3
 """Times in s from the end of clipping to the fade-in, of the fade-in, and from its end to the first
 data that are used."""
 QUIET_SHARE = 0.2
-"""Last fraction of a cycle, whose mean is subtracted from the cycle."""
+"""Fraction of a cycle, at its end, whose mean is subtracted from the cycle."""
 RING_LASTS = 4e-3
-"""Time in s after clipping from which the untouched cycles are no longer subtracted."""
+"""Time in s after clipping from which untouched cycles are not subtracted from closed ones."""
 NEAR_RAIL, AT_RAIL, LEAST_CLIPPED = 0.9, 0.98, 8
-"""Fraction of the largest deviation above which a sample may be clipped, fraction above which it
-counts as clipped, and number of such samples that show clipping."""
+"""Fractions of the largest deviation from the offset: from the first on, a sample may be clipped,
+and from the second on, it counts as clipped. Least number of clipped samples that show clipping."""
 UNCLIPPED_END = 2e-3
 """Time in s up to which the largest deviation of an unclipped ring-down is sought."""
 CLEAR_CYCLE = 30.0
@@ -52,18 +52,23 @@ CLEAR_CYCLE = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Cycles of the tube in one state.
+    """Cycles of the tube in one state, untouched or closed at one place.
 
     Attributes
     ----------
     cycles : ndarray
-        Counts, (n_cycles, n_samples).
+        Counts of the converter, (n_cycles, n_samples).
     temperature : float
         Temperature in degC that the board reports.
     place : float
         Stated distance of the closure from the face in m; nan for an untouched tube.
     source : str
         File, for messages.
+
+    Raises
+    ------
+    ConfigError
+        If a value is outside its range.
     """
 
     cycles: NDArray[np.generic]
@@ -80,17 +85,17 @@ class Group:
 
 
 class Means(NamedTuple):
-    """Mean of the cycles of a group in the band, and how they vary.
+    """Mean of the cycles of a group in the band, and the scatter of the single cycles.
 
     Attributes
     ----------
     spectrum : ndarray
-        In counts s, (n_f,).
+        Spectrum of the mean in counts s, (n_f,).
     variance : float
         Variance of a sample of the mean in the baseband, in counts squared.
     delays, gains : ndarray
-        Delays in s and gains of the cycles relative to their mean, (n_cycles,); empty where the
-        cycles are too weak or too few.
+        Delays in s and gains of the cycles relative to their mean, (n_cycles,); empty if the cycles
+        are too weak or fewer than three.
     wobble : float
         Variance of a gain, and of a phase in rad squared, due to noise alone.
     """
@@ -114,14 +119,26 @@ class Band:
     n_samples : int
         Number of samples of a cycle.
     carrier : float
-        In Hz.
+        Carrier frequency in Hz.
     clear : float
         Time in s at which the ring-down is no longer clipped.
 
+    Attributes
+    ----------
+    frequency, image : ndarray
+        Frequencies of the band in Hz, and their images ``rate - frequency``, (n_f,).
+    time : ndarray
+        Times of the baseband in s from the start of the drive, (n_t,); n_t equals n_f.
+
+    Raises
+    ------
+    ConfigError
+        If the sampling rate is too low for the carrier.
+
     Notes
     -----
-    A band that extends above half the sampling rate is folded: the transform at f then also
-    contains the conjugate of that at rate - f (`image`).
+    A band that extends above half the sampling rate is folded: the transform at a frequency then
+    also contains the conjugate of that at its image.
     """
 
     @checked(
@@ -160,7 +177,10 @@ class Band:
         """Variance in the baseband of white noise with unit variance in the samples."""
 
     def spectra(self, samples: Array, keep: Array | float = 1.0) -> Complex:
-        """Return spectra (..., n_f) of samples (..., n_samples), faded in and without offset."""
+        """Return spectra (..., n_f) in counts s of samples (..., n_samples) in counts.
+
+        The samples are first freed of their offset, faded in, and multiplied by the window `keep`.
+        """
         time = self.start + np.arange(samples.shape[-1]) / self.rate
         since = time - self.clear - AFTER_CLIPPING
         fade = np.sin(pi / 2 * np.clip(since / FADE, 0, 1)) ** 2
@@ -170,22 +190,22 @@ class Band:
         return np.asarray(found / self.rate * np.exp(-2j * pi * self.frequency * self.start))
 
     def baseband(self, spectrum: Complex) -> Complex:
-        """Return the baseband (..., n_t) of spectra (..., n_f) in counts s."""
+        """Return the baseband (..., n_t) in counts of spectra (..., n_f) in counts s."""
         turned = spectrum * (self.taper * np.exp(2j * pi * self.frequency * self.start))
         return np.asarray(self.scale * np.fft.ifft(turned, axis=-1))
 
     @property
     def first(self) -> float:
-        """Time in s from which data are used."""
+        """Time in s from the start of the drive from which data are used."""
         return self.clear + AFTER_CLIPPING + FADE + SETTLED
 
     @property
     def last(self) -> float:
-        """Time in s up to which data are used."""
+        """Time in s from the start of the drive up to which data are used."""
         return self.start + self.n_samples / self.rate - 0.1e-3
 
     def before_ring_end(self) -> Array:
-        """Return a window over samples that ends when the ring-down has died away."""
+        """Return a window that falls to 0 when the ring-down has died away, (n_samples,)."""
         time = self.start + np.arange(self.n_samples) / self.rate
         return np.asarray(
             0.5 + 0.5 * np.cos(pi * np.clip((time - self.clear - RING_LASTS) / FADE, 0, 1))
@@ -208,7 +228,8 @@ def band_of(
     Raises
     ------
     ConfigError
-        If the sampling rate is too low, or the ring-down fills the cycles.
+        If the sampling rate is too low, the clipped ring-down takes most of a cycle, or the closed
+        cycles contain no sound from 15 to 120 kHz.
     """
     n = untouched.shape[1]
     mean = np.asarray(untouched[:256], float).mean(axis=0)
@@ -243,7 +264,7 @@ def band_of(
 
 
 def mean_of(band: Band, cycles: NDArray[np.generic]) -> Means:
-    """Return the mean of cycles in the band, with their delays removed, and its variance.
+    """Return the mean of cycles in the band, with their delays removed, and their scatter.
 
     Parameters
     ----------
@@ -253,9 +274,10 @@ def mean_of(band: Band, cycles: NDArray[np.generic]) -> Means:
 
     Notes
     -----
-    The delay of a cycle, due to the jitter of the trigger, is minus the phase of its product with
-    the mean, divided by the carrier's angular frequency. Its gain is the product's magnitude.
-    Both are maximum-likelihood estimates for small delays.
+    The product of a cycle's spectrum with the conjugate mean, summed over frequency and divided by
+    the energy of the mean, gives its delay, due to the jitter of the trigger, and its gain. The
+    delay is minus the phase of the product, divided by the carrier's angular frequency; the gain is
+    its magnitude. Both are maximum-likelihood estimates for small delays.
     """
     given = np.asarray(cycles)
     parts = [band.spectra(given[i : i + 256].astype(float)) for i in range(0, len(given), 256)]

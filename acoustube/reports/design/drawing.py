@@ -14,7 +14,7 @@ from acoustube.runs.design.candidates import Candidate
 WALL, AIR, PART, GROUND = "#c9d6df", "#ffffff", "#4a6572", "#d9cbb0"
 MEASURE = {"arrowstyle": "<->", "lw": 0.8, "shrinkA": 0, "shrinkB": 0}
 SIDE = 16.0
-"""Length of the drawn tube in outer diameters; the tube itself is broken in its middle."""
+"""Length of the drawn tube in outer diameters; lines of a break show that it is shortened."""
 
 
 def drawing(design: DesignGoal, candidate: Candidate) -> Figure:

@@ -19,14 +19,14 @@ LEVELS = 0.01, 1.0
 def front_figure(
     front: Sequence[Candidate], named: Sequence[tuple[str, Candidate]], reach: float
 ) -> Figure:
-    """Draw the error of force over the reach, coloured by resolution.
+    """Draw the candidates' error of force over their reach, coloured by resolution.
 
     Parameters
     ----------
     front : sequence of Candidate
-        Candidates none of which dominates another.
+        Candidates none of which dominates another (Pareto front).
     named : sequence of (str, Candidate)
-        Candidates with a label.
+        Labels, and the candidates to mark with them.
     reach : float
         Required reach in m.
     """
@@ -54,7 +54,7 @@ def front_figure(
 
 
 def map_figure(found: Map, title: str) -> Figure:
-    """Draw the expected errors of force and place over place and force.
+    """Draw maps of the expected errors of force and of place, over place and force.
 
     Parameters
     ----------

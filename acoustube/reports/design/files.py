@@ -23,8 +23,8 @@ def contents_of(found: Designed) -> dict[str, bytes | str]:
     Returns
     -------
     dict of str to bytes or str
-        The goal, the front as a table and a figure, for each sensor its rangefinder, its tube and
-        its maps, and a page.
+        The goal, the front as a table and a figure, for each sensor its rangefinder, its tube, its
+        maps and its drawing, and a page.
     """
     named = [(one.name, one.candidate) for one in found.sensors]
     png = Path("figure.png")

@@ -25,7 +25,7 @@ HEADINGS = {
     "nearest_cm": "nearest (cm)", "audible_db": "audible (dB)",
     "wrong_half_wave_percent": "wrong half wave (%)", "detected_percent": "detected (%)",
 }  # fmt: skip
-"""Names of the columns of a table of sensors."""
+"""Headings of the columns of the table of sensors, by the keys of ``Candidate.row``."""
 
 
 def page_of(
@@ -35,15 +35,17 @@ def page_of(
     notes: Sequence[str],
     design: DesignGoal,
 ) -> str:
-    """Return the page as self-contained HTML.
+    """Return the page of a design as self-contained HTML.
 
     Parameters
     ----------
     goal : str
         The goal as TOML.
     sensors : sequence of Recommended
+        One or more.
     pictures : mapping of str to bytes
-        PNG by the name of the sensor, ``NAME drawing`` and ``front``.
+        PNG files: the maps of each sensor by its name NAME, its drawing by ``NAME drawing``, and
+        the front by ``front``.
     notes : sequence of str
         Sentences on the validity of the results.
     design : DesignGoal
@@ -67,7 +69,7 @@ def page_of(
 
 
 def _pairs(one: Recommended, separation: float) -> str:
-    """Return the detection and location of two presses at once, as a sentence and a table."""
+    """Return a sensor's results for two presses at once; empty if they were not computed."""
     if one.pairs is None:
         return ""
     detected, force = PERCENT * one.pairs.detection, PERCENT * np.median(one.pairs.force, axis=0)
@@ -85,7 +87,7 @@ def _pairs(one: Recommended, separation: float) -> str:
 
 
 def _ranges(one: Recommended) -> str:
-    """Return the ranges of the parts as a table."""
+    """Return a table of the ranges within which properties of the sensor's parts may vary."""
     rows = "".join(
         f"<tr><th scope=row>{escape(name)}</th><td>{low:.4g}</td><td>{high:.4g}</td></tr>"
         for name, (low, high) in one.ranges.items()

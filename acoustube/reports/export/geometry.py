@@ -39,13 +39,20 @@ AS_IT_LIES = "as it lies, with flat ends"
 
 
 def write_surfaces(run: xr.Dataset, folder: Path, suffix: str) -> str:
-    """Write the lumen of a run, or the lumens of a press at each depth.
+    """Write the lumen of the whole tube of a simulation, or of the pressed part at each depth.
 
     Parameters
     ----------
     run : xarray.Dataset
         Run of ``simulate`` or ``indent``.
+    folder : Path
+        Empty folder.
     suffix : {"stl", "vtp"}
+
+    Returns
+    -------
+    str
+        What was written, in words.
 
     Raises
     ------
@@ -82,13 +89,20 @@ def write_swept(files: Sequence[Path], folder: Path, suffix: str) -> str:
     Parameters
     ----------
     files : sequence of Path
-        Of the sweep, from :func:`acoustube.runs.opening.files_of`.
+        Files of the sweep, from :func:`acoustube.runs.opening.files_of`.
+    folder : Path
+        Empty folder.
     suffix : {"stl", "vtp"}
+
+    Returns
+    -------
+    str
+        Numbers of lumens and cases, in words.
 
     Raises
     ------
     ConfigError
-        If no file has walls.
+        If no file has walls: no case is pressed, or an earlier version wrote the sweep.
     """
     rows: list[dict[str, Any]] = []
     count = 0
@@ -136,7 +150,12 @@ def lumens(run: xr.Dataset) -> tuple[list[trimesh.Trimesh], str]:
         line, between short ends of straight tube, by :func:`acoustube.lumen.pressed_part`. That of
         an imported wall, or of a tube bent too sharply to be straightened, is left as it lies.
     what : str
-        Which of these applies, in words.
+        Whether the lumens are straightened or left as they lie, in words.
+
+    Raises
+    ------
+    ConfigError
+        If the run was written by a version with another mesh or fewer variables.
     """
     if settings_of(run).tube.surface is None:
         indentation = indentation_of(run)
@@ -171,7 +190,7 @@ def closed_wall(mesh: Mesh, position: Array) -> trimesh.Trimesh:
     mesh : Mesh
         Mesh, halved or not, whose inner wall is open only at the ends of the tube.
     position : array of shape (n_nodes, 3)
-        Positions of its nodes in m.
+        Positions of the mesh's nodes in m.
     """
     sampling, faces = triangulated(mesh, parts=PARTS)
     points = sampling @ position
@@ -184,7 +203,7 @@ def closed_wall(mesh: Mesh, position: Array) -> trimesh.Trimesh:
 
 
 def _doubled(points: Array, faces: Index, axis: int) -> tuple[Array, Index]:
-    """Add the mirror image of a surface; the points in the mirror plane are shared."""
+    """Add a surface's mirror image about coordinate `axis` = 0, sharing points in that plane."""
     own = np.arange(len(points))
     seam = np.abs(points[:, axis]) < SEAM * np.ptp(points, axis=0).max()
     number = np.where(seam, own, len(points) + np.cumsum(~seam) - 1)
@@ -231,12 +250,19 @@ def _save(surface: trimesh.Trimesh, path: Path) -> None:
 
 
 def write_meshes(run: xr.Dataset, folder: Path) -> str:
-    """Write the finite-element mesh and its displacements at each depth.
+    """Write the finite-element mesh and its displacements at each depth, for ParaView.
 
     Parameters
     ----------
     run : xarray.Dataset
         Run of ``simulate`` or ``indent``.
+    folder : Path
+        Empty folder.
+
+    Returns
+    -------
+    str
+        Number of depths, in words.
     """
     rows = reached(run)
     depths, displacements = run["indentation_depth"].values, run["node_displacement"].values

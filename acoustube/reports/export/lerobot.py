@@ -1,6 +1,6 @@
-"""Cycles in the layout of LeRobotDataset v3.0, of episodes for robot learning.
+"""Cycles as episodes for robot learning, in the layout of LeRobotDataset v3.0.
 
-A frame is a cycle, an episode the cycles of one press in one recording session.
+A frame is one cycle. An episode is the cycles of one press in one recording session.
 """
 
 from __future__ import annotations
@@ -38,6 +38,13 @@ def write_episodes(data: xr.Dataset, folder: Path) -> str:
     ----------
     data : xarray.Dataset
         Cycles, from :func:`acoustube.open_dataset`.
+    folder : Path
+        Empty folder.
+
+    Returns
+    -------
+    str
+        Numbers of frames and episodes, in words.
 
     Raises
     ------
@@ -65,7 +72,7 @@ def write_episodes(data: xr.Dataset, folder: Path) -> str:
 
 
 class _Files:
-    """The Parquet files of the frames, each of whole episodes."""
+    """Context that writes the frames to Parquet files, each of whole episodes."""
 
     def __init__(self, folder: Path, n_samples: int) -> None:
         self.folder = folder
@@ -101,7 +108,7 @@ class _Files:
 
     @property
     def place(self) -> tuple[int, int]:
-        """Numbers of the chunk and of the file."""
+        """Number of the chunk (folder), and of the current file in it."""
         chunk, file = divmod(self.number, FILES_PER_CHUNK)
         return chunk, file
 
@@ -150,7 +157,7 @@ def _arrow(values: NDArray[Any]) -> Any:
 def _episode(
     number: int, part: NDArray[np.int64], table: pd.DataFrame, chunk: int, file: int
 ) -> dict[str, Any]:
-    """Return an episode's row: the places of its frames, and its labels."""
+    """Return an episode's row of ``meta/episodes``: where its frames are, and its labels."""
     first = table.iloc[part[0]]
     return {
         "episode_index": number,

@@ -21,7 +21,7 @@ NAMES = {
     "iterations": "newton_iterations", "residual": "newton_residual",
     "press_force": "contact_force", "energy": "elastic_energy",
 }  # fmt: skip
-"""Variables of a run, by the attributes of an :class:`Indentation` with other names."""
+"""Names of a run's variables, by the attribute of :class:`Indentation` where that differs."""
 COINCIDENT_DISTANCE = 1e-9
 """Largest distance in m between coincident nodes."""
 
@@ -39,7 +39,7 @@ def reached(run: xr.Dataset) -> NDArray[np.int64]:
 
 
 def mesh_of(run: xr.Dataset) -> Mesh:
-    """Return the finite-element mesh, without the data specific to a swept one.
+    """Return the finite-element mesh of a run; its attribute `sweep` is None even for a round tube.
 
     Parameters
     ----------

@@ -32,6 +32,13 @@ def write_sounds(data: xr.Dataset, folder: Path) -> str:
     ----------
     data : xarray.Dataset
         Cycles, from :func:`acoustube.open_dataset`.
+    folder : Path
+        Empty folder.
+
+    Returns
+    -------
+    str
+        Numbers of cycles and files, in words.
 
     Raises
     ------
@@ -60,7 +67,7 @@ def write_sounds(data: xr.Dataset, folder: Path) -> str:
 
 
 def labels(data: xr.Dataset) -> pd.DataFrame:
-    """Return the labels of each cycle, a column each."""
+    """Return a table of labels, with a row for each cycle and a column for each label."""
     columns: dict[str, Any] = {
         str(name): values.values
         for name, values in {**data.coords, **data.data_vars}.items()
@@ -70,6 +77,6 @@ def labels(data: xr.Dataset) -> pd.DataFrame:
 
 
 def episodes(table: pd.DataFrame) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """Return the index of the first cycle of each press and session."""
+    """Return the indices of the cycles at which another press or session begins, with 0."""
     names = (table["press"] + "/" + table["session"]).to_numpy()
     return np.flatnonzero(np.concatenate([[True], names[1:] != names[:-1]]))

@@ -16,21 +16,29 @@ TABLES = {
 }  # fmt: skip
 """Names of the tables, by the dimension of their rows."""
 EXPANDED = ("source_end",)
-"""Short dimensions, each entry of which becomes a column."""
+"""Short dimensions: a variable has a column for each of their entries."""
 LEFT_OUT = ("configuration",)
 COEFFICIENTS = ["s_real", "s_imag", "settled", "error"]
-"""Dimensions of a scattering matrix's coefficients, each of which has a row."""
+"""Variables of a scattering matrix that are columns of its table, if present."""
 
 
 def write_tables(data: xr.Dataset, folder: Path) -> str:
-    """Write a table for each dimension, with all variables that have this dimension alone.
+    """Write a table for each dimension of :data:`TABLES`, with the variables along it alone.
 
-    A scattering matrix has one table, with a row for each of its coefficients.
+    Variables may have a dimension of :data:`EXPANDED` too. A scattering matrix has one table, with
+    a row for each of its coefficients. ``columns.csv`` gives unit and meaning of each column.
 
     Parameters
     ----------
     data : xarray.Dataset
         Any result.
+    folder : Path
+        Empty folder.
+
+    Returns
+    -------
+    str
+        Names and numbers of rows of the tables, in words.
     """
     known, written = [], []
     for dimension, stem in TABLES.items():

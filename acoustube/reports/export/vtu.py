@@ -28,9 +28,12 @@ VTK_HEXAHEDRON = (
     *((1, 0, 0), (2, 1, 0), (1, 2, 0), (0, 1, 0), (1, 0, 2), (2, 1, 2), (1, 2, 2), (0, 1, 2)),
     *((0, 0, 1), (2, 0, 1), (2, 2, 1), (0, 2, 1)),
 )
-"""Local coordinates, times one and plus one, in the order of VTK's quadratic hexahedron."""
+"""Local coordinates (-1 to 1) plus one of the nodes of VTK's quadratic hexahedron, in its order."""
 VTK_TETRAHEDRON = (0, 1, 2, 3, 4, 7, 5, 6, 8, 9)
-"""Node order: VTK's mid-nodes are 01, 12, 02, 03, 13, 23; ours 01, 02, 03, 12, 13, 23."""
+"""Our node numbers of a tetrahedron in VTK's order.
+
+VTK numbers the mid-edge nodes by edges 01, 12, 02, 03, 13, 23; we by 01, 02, 03, 12, 13, 23.
+"""
 
 
 def write(mesh: Mesh, depths: Array, displacements: Array, folder: Path) -> Path:

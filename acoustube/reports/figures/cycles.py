@@ -19,7 +19,18 @@ MOST_ROWS = 1000
 def draw_cycle(
     axes: Axes, time: ArrayLike, cycle: ArrayLike, ranging: Ranging, temperature: float
 ) -> None:
-    """Draw the rectified signal, its envelope, the send pulse and all echoes over distance."""
+    """Draw the rectified signal, its envelope, the send pulse and all echoes over distance.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    time, cycle : array of shape (time,)
+        Sampling times in s, and the recorded signal in any unit.
+    ranging : Ranging
+        Result of processing the cycle.
+    temperature : float
+        Temperature of the air in degC.
+    """
     time = np.asarray(time, float)
     place = CM * distance(time - ranging.send_time, temperature)
     plain = rectify(remove_offset(cycle, sampling_rate(time)))
@@ -47,7 +58,20 @@ def draw_cycle(
 def draw_waterfall(
     axes: Axes, time: ArrayLike, envelopes: ArrayLike, send_time: float, temperature: float
 ) -> None:
-    """Draw envelopes (cycle, time) as an image over distance and cycle, in dB."""
+    """Draw envelopes as an image over distance and cycle, in dB of the send pulse.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    time : array of shape (time,)
+        Sampling times in s.
+    envelopes : array of shape (cycle, time)
+        Envelopes as fractions of the send pulse.
+    send_time : float
+        Time of the send pulse in s.
+    temperature : float
+        Temperature of the air in degC.
+    """
     envelopes, time = np.asarray(envelopes, float), np.asarray(time, float)
     rows = np.unique(np.linspace(0, len(envelopes) - 1, min(len(envelopes), MOST_ROWS)).astype(int))
     place = CM * distance(time - send_time, temperature)
@@ -70,7 +94,7 @@ def calibration_figure(calibration: Calibration) -> Figure:
 
 
 def draw_fall(axes: Axes, calibration: Calibration) -> None:
-    """Draw the blockages' amplitudes, the arctangent through them and the gain's tanh."""
+    """Draw the echo amplitudes of blockages over distance, the arctan fit and the gain's tanh."""
     places = calibration.true_distance
     along = np.linspace(0, 1.1 * places.max(), 300)
     axes.plot(CM * places, calibration.amplitude, ".", color=SIGNAL, label="blockages")
@@ -91,7 +115,7 @@ def draw_fall(axes: Axes, calibration: Calibration) -> None:
 
 
 def draw_line(axes: Axes, calibration: Calibration) -> None:
-    """Draw estimated over true distance."""
+    """Draw estimated over true distance of blockages, and the line fitted to them."""
     places = calibration.true_distance
     slope, deviation = calibration.slope
     axes.plot(CM * places, CM * calibration.estimated_distance, ".", color=SIGNAL)

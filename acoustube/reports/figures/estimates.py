@@ -14,13 +14,13 @@ from acoustube.reports.figures.run import ENVELOPE, PRESS, RETURN
 from acoustube.runs.training import BINS, DISPLAY_UNITS
 
 MOST_POINTS = 5000
-"""Largest number of points of a panel; of more cycles, evenly spaced ones are drawn."""
+"""Largest number of points of a panel: of more cycles, every n-th is drawn."""
 AGAINST = "true_distance", "depth"
 """Labels over whose bins absolute errors are drawn."""
 
 
 def figure(table: xr.Dataset, estimates: xr.Dataset) -> Figure:
-    """Draw a row for each target: estimate against truth, and errors against distance and depth.
+    """Draw, for each target in a row, estimate against truth, and error over distance and depth.
 
     Parameters
     ----------
@@ -39,11 +39,11 @@ def figure(table: xr.Dataset, estimates: xr.Dataset) -> Figure:
 
 
 def draw_estimates(axes: Axes, table: xr.Dataset, estimates: xr.Dataset, target: str) -> None:
-    """Draw estimates with their stated standard deviations over the truth."""
+    """Draw estimates of a target, with their stated standard deviations, against the truth."""
     words = _axis(target)
     truth, estimate, deviation = _scaled(table, estimates, target)
     known = np.flatnonzero(np.isfinite(truth) & np.isfinite(estimate))
-    some = known[:: max(1, len(known) // MOST_POINTS)]
+    some = known[:: max(1, -(-len(known) // MOST_POINTS))]
     axes.errorbar(
         truth[some], estimate[some], deviation[some], fmt=".", ms=2, lw=0.4, alpha=0.3,
         color=ENVELOPE, ecolor=PRESS, label="estimate, 68 % interval",
@@ -85,7 +85,7 @@ def _axis(label: str) -> str:
 def _scaled(
     table: xr.Dataset, estimates: xr.Dataset, target: str
 ) -> tuple[NDArray[np.float64], ...]:
-    """Return label, estimate and standard deviation of a target in the figure's units."""
+    """Return true value, estimate and standard deviation of a target in the figure's units."""
     name, scale = TARGETS[target], DISPLAY_UNITS[target][1]
     columns = (table[target], estimates[name], estimates[name + "_deviation"])
     return tuple(scale * column.values.astype(float) for column in columns)

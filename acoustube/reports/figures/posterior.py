@@ -24,13 +24,13 @@ POINTS = 400
 
 
 def posterior_figure(found: EndsContacts, library: Library) -> Figure:
-    """Draw the echoes from each end, recorded and modelled, and each contact's distributions.
+    """Draw the recorded and modelled echo at each end, and the posterior of each contact.
 
     Parameters
     ----------
     found : EndsContacts
-        Contacts of a group of cycles;
-        :meth:`~acoustube.runs.two_ends.EndsContacts.of_one_end` of an inversion.
+        Contacts of a group of cycles. For an inversion from one end alone, use
+        :meth:`~acoustube.runs.two_ends.EndsContacts.of_one_end`.
     library : Library
         The library of the inversion.
     """
@@ -59,7 +59,7 @@ def posterior_figure(found: EndsContacts, library: Library) -> Figure:
 def _draw_echo(
     axes: Axes, end: Inversion, place: Array, contacts: Sequence[Contact], of_end: str
 ) -> None:
-    """Draw the echo that an end receives, over distances in m from the near face."""
+    """Draw the echo that an end receives, over `place`: distances in m from the near face."""
     at = CM * place
     axes.semilogy(at, np.abs(end.measured), color=ENVELOPE, lw=1.2, label="recorded")
     axes.semilogy(at, np.abs(end.explained), color=PRESS, lw=1.0, ls="--", label="explained")

@@ -31,9 +31,10 @@ def figure(dataset: xr.Dataset, images: Mapping[str, Image] | None = None) -> Fi
     Parameters
     ----------
     dataset : xarray.Dataset
-        A run.
+        A run of ``simulate``.
     images : mapping of str to image, optional
-        The three-dimensional pictures of :func:`acoustube.reports.scenes.tube.drawing`.
+        The three-dimensional pictures of :func:`acoustube.reports.scenes.tube.drawing`. Without
+        them, a sentence is shown in their place.
     """
     sheet = Figure(figsize=(11, 11.5), layout="constrained")
     top, *shared = sheet.subplots(4, 1, height_ratios=[4.4, 1.3, 2, 3.2])
@@ -116,18 +117,18 @@ def label_amplitude(axes: Axes) -> None:
 
 
 def percent() -> Formatter:
-    """Return the format of fractions in %, on a linear or a logarithmic axis."""
+    """Return a tick formatter that shows fractions in %, for a linear or a logarithmic axis."""
     return FuncFormatter(lambda value, _: Formatter.fix_minus(f"{PERCENT * value:g}"))
 
 
 def _place(case: xr.Dataset, time: Any) -> Any:
-    """Return the distance in cm that corresponds to a delay after the send pulse."""
+    """Return the distance in cm of an echo that is received at a time in s."""
     delay = time - float(case["send_time"])
     return CM * (float(case["probe_position"]) + float(case["sound_speed"]) * delay / 2)
 
 
 def _limit(case: xr.Dataset) -> float:
-    """Return the limit of the axis; it cuts off the send pulse, often a hundred times the echo."""
+    """Return the limit of the ordinate: 2.5 times the echo, which cuts off most send pulses."""
     echo = float(case["echo_amplitude"])
     return float(np.clip(2.5 * echo, 0.02, 1.1)) if np.isfinite(echo) else 0.05
 
@@ -223,19 +224,19 @@ def draw_profiles(axes: Axes, dataset: xr.Dataset) -> None:
 
 
 def _top(*curves: Any) -> float:
-    """Return the upper limit of an axis for curves; after an early stop they may be all nan."""
+    """Return the upper limit of an axis for curves; 1 if all are nan, as after an early stop."""
     highest = np.max([np.max(curve, initial=0.0, where=np.isfinite(curve)) for curve in curves])
     return 1.15 * float(highest) or 1.0
 
 
 def picture(sheet: Figure, path: Path) -> bytes:
-    """Return a figure as the content of a file, in the format of its name.
+    """Return a figure as the content of an image file; no screen is needed.
 
     Parameters
     ----------
     sheet : matplotlib.figure.Figure
     path : Path
-        PNG, PDF or SVG. No screen is needed.
+        Its suffix selects the format: PNG, PDF or SVG. The file is not written.
     """
     drawn = io.BytesIO()
     sheet.savefig(drawn, format=path.suffix[1:].lower(), dpi=130)

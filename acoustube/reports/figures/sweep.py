@@ -1,4 +1,4 @@
-"""Figures of a sweep. Each draws on given axes, from cases along ``press``."""
+"""Figures of a sweep, drawn from a dataset of cases along the dimension ``press``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from matplotlib.collections import QuadMesh
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from acoustube.base.units import CM, MM
+from acoustube.base.units import CM, MM, PERCENT
 from acoustube.reports.figures.run import percent
 from acoustube.runs.sweep.select import by_tool, chosen, envelope_of, usual
 
@@ -38,7 +38,7 @@ def figure(cases: xr.Dataset) -> Figure:
     rows: Any = sheet.subfigures(2, 1, height_ratios=[1, 1.1])
     above, below = rows
     for axes, name, scale, label in zip(
-        above.subplots(1, 3), ("force", "amplitude", "error"), (1.0, CM, CM),
+        above.subplots(1, 3), ("force", "amplitude", "error"), (1.0, PERCENT, CM),
         ("force (N)", "highest echo (% of the send pulse)", "error of the distance (cm)"),
         strict=True,
     ):  # fmt: skip

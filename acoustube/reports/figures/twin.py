@@ -1,4 +1,4 @@
-"""Figure of a twin: simulated over recorded cycles, and the errors of the closures."""
+"""Figure of a twin: simulated and recorded cycles, and the errors of the closures' positions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,11 @@ AROUND = (-0.2e-3, 1.6e-3)
 
 
 def twin_figure(found: FittedSensor) -> Figure:
-    """Draw the nearest, a middle and the farthest closure, the untouched tube, and the errors."""
+    """Draw recorded and simulated echoes of three closures and of the untouched tube, and errors.
+
+    The closures are the nearest, a middle and the farthest one. The errors of all closures'
+    positions and the peaks of their echoes are drawn over the stated distance.
+    """
     sheet = Figure(figsize=(10.0, 8.0), layout="constrained")
     grid = sheet.add_gridspec(3, 6)
     order = np.argsort(found.twin.model.places)

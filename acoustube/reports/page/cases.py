@@ -46,6 +46,7 @@ UNTOUCHED_REACH = 0.08
 """Drawn length of an untouched tube on each side of the press's position, in m."""
 TOOL = ("shape", "indenter_mm", "yaw_deg", "offset_mm")
 
+# Indenter as JSON, position in cm, and all other settings but the depth as JSON.
 Key = tuple[str, float, str]
 
 
@@ -58,7 +59,7 @@ class Found(NamedTuple):
 
 
 def read_sweep(folder: Path) -> Content:
-    """Read the cases of a sweep.
+    """Return the content of the page of a sweep.
 
     Returns
     -------
@@ -69,7 +70,8 @@ def read_sweep(folder: Path) -> Content:
     Raises
     ------
     ConfigError
-        If it has no finished case, or a damaged file.
+        If the sweep has no finished case, a damaged file, or more than `MOST_CASES` cases at one
+        position.
     """
     with reading(folder, "holds a damaged file", ADVICE):
         cases = list(_cases(folder))
@@ -130,7 +132,10 @@ def _key(config: Config) -> Key:
 
 
 def limited(groups: dict[Key, list[Found]]) -> tuple[dict[Key, list[Found]], list[str]]:
-    """Limit the number of cases by omitting positions evenly."""
+    """Return groups with at most `MOST_CASES` cases at evenly chosen positions, and a note.
+
+    ConfigError if there are more cases at one position. There is no note if no case is left out.
+    """
     places = sorted({place for _, place, _ in groups})
     count = sum(map(len, groups.values()))
     if count <= MOST_CASES:
@@ -194,7 +199,7 @@ def _state(
 
 
 def _untouched(settings: SISettings) -> tuple[Shape, Along, float]:
-    """Return shape, cross-section and height of the indenter of a tube at first contact."""
+    """Return an untouched tube's shape and cross-section, and the indenter's height on it in m."""
     bore, wall = settings.tube.inner_diameter, settings.tube.wall_thickness
     shape = round_tube(bore, wall, UNTOUCHED_REACH)
     z = np.array([-UNTOUCHED_REACH, UNTOUCHED_REACH])
@@ -203,7 +208,7 @@ def _untouched(settings: SISettings) -> tuple[Shape, Along, float]:
 
 
 def _dense(radius: float) -> Any:
-    """Return dense points of a straight tube's outer wall near the press."""
+    """Return closely spaced points (n, 3) of a straight tube's outer wall near the press."""
     angle, z = np.meshgrid(np.linspace(0, np.pi, 181), np.linspace(-2, 2, 41) * radius)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=-1).reshape(-1, 3)
 

@@ -50,12 +50,12 @@ class Signal:
     peak_distance, peak : array of shape (k,)
         Distances and heights of all peaks of the envelope.
     estimate, amplitude : float
-        Distance and height of the highest peak; nan where there is none.
+        Distance and height of the highest echo; nan where there is none.
     probe : float
         Position of the probe.
     source_end : str
     height : float
-        Largest magnitude of pressure and envelope after the send pulse.
+        Largest magnitude of pressure and envelope after the send pulse, as such fractions.
     """
 
     distance: Array
@@ -80,7 +80,8 @@ class Spectrum:
     frequency, reflection : array of shape (n,)
         Frequency in Hz; amplitude of the reflected plane wave over that of the incident one.
     settled : array of bool, shape (n,)
-        True where the signal had decayed.
+        True where the coefficient is reliable: the signal had decayed or, with the spectral method,
+        the estimated error is within its tolerance.
     cut_ons : dict of float
         Cut-on of each higher mode in Hz, by name.
     carrier : float
@@ -105,7 +106,7 @@ class State:
     shape : Shape or None
         Pressed tube; None if it is unknown.
     tool_height : float
-        Height of the indenter's lowest point.
+        Height of the indenter's lowest point, a coordinate y as in `shape`; nan if unknown.
     along : Along or None
     signal : Signal or None
     spectrum : Spectrum or None
@@ -130,9 +131,11 @@ class Group:
     Attributes
     ----------
     tool, place, other : str
-        The selection in words; empty without alternatives.
+        In words: the indenter; its position, empty if there is none; other settings that vary
+        between groups, empty if there are none.
     states : sequence of State
     solid : Tool
+        Surface of the indenter.
     position, length : float
         Position of the press and length of the tube in m; nan where there is no position.
     bore_area, outer_diameter : float
@@ -207,7 +210,7 @@ def signal_of(
     time, pressure, envelope : array of shape (n,)
         Time in s, pressure in any unit, and envelope as a fraction of the send pulse.
     peak_times, peaks : array of shape (k,)
-        Times in s of the peaks of the envelope, and their heights likewise.
+        Times in s of the peaks of the envelope, and their heights as fractions of the send pulse.
     place : callable
         Function that returns the distance in m of an echo from its time in s.
     faded : float
@@ -241,8 +244,9 @@ def drawn(values: Array, keep: Sequence[int] | NDArray[np.int64] = ()) -> NDArra
     Returns
     -------
     array of int
-        Rising indices: all where there are few samples; otherwise those of the first, the least
-        and the greatest sample of each of `SAMPLES` / 3 equal intervals.
+        Rising indices. All if there are at most `SAMPLES` samples; otherwise those of the first,
+        the least and the greatest sample of each of `SAMPLES` / 3 equal intervals, of the last
+        sample, and those to keep.
     """
     n = len(values)
     if n <= SAMPLES:

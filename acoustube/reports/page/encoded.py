@@ -34,7 +34,8 @@ class Arrays:
     Attributes
     ----------
     kept : list of dict
-        Type, scale and content of each.
+        ``type``, ``scale`` and ``content`` (in base64) of each array; its values are the stored
+        numbers times the scale.
     """
 
     def __init__(self) -> None:
@@ -42,15 +43,16 @@ class Arrays:
         self._numbers: dict[bytes, int] = {}
 
     def real(self, values: Any) -> int:
-        """Store an array in single precision, and return its index.
+        """Store an array in single precision, and return its index in `kept`.
 
-        Values beyond its range, as in a damaged file, become infinite and are not drawn.
+        Values beyond that precision's range, as in a damaged file, become infinite and are not
+        drawn.
         """
         with np.errstate(over="ignore"):
             return self._keep(np.asarray(values, "<f4").ravel(), "f4", 1.0)
 
     def coarse(self, values: Any) -> int:
-        """Store an array in steps of 1/32767 of its largest value, and return its index."""
+        """Store an array in steps of 1/32767 of its largest magnitude, and return its index."""
         values = np.asarray(values, float).ravel()
         scale = float(np.abs(values).max(initial=0.0)) / FINEST or 1.0
         return self._keep(np.round(values / scale).astype("<i2"), "i2", scale)
@@ -85,12 +87,12 @@ def encoded(content: Content) -> str:
         "arrays": arrays.kept,
     }
     text = json.dumps(page, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
-    # No text of it can end the script element that contains it.
+    # Without "<", no text in the content can end the script element that contains it.
     return text.replace("<", "\\u003c")
 
 
 def _in_words(settings: Mapping[str, Any]) -> dict[str, list[list[str]]]:
-    """Return the given settings as text."""
+    """Return the settings that are not None as names and texts, by section."""
     return {
         section: [
             [name, f"{value:g}" if isinstance(value, float) else str(value)]
@@ -102,7 +104,7 @@ def _in_words(settings: Mapping[str, Any]) -> dict[str, list[list[str]]]:
 
 
 def _number(value: float, scale: float = 1.0) -> float | None:
-    """Return a number for JSON, rounded to six digits; None for nan."""
+    """Return a number for JSON, times `scale` and rounded to six digits; None if not finite."""
     return float(f"{scale * value:.6g}") if math.isfinite(value) else None
 
 

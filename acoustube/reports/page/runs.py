@@ -33,29 +33,35 @@ from acoustube.runs.config.si import press_in_si, settings_in_si
 
 RUN = "run.nc"
 REACH = 4.0
-"""Drawn length of the tube to each side of the press, in its outer diameters."""
+"""Length to each side of the press, in outer diameters of the tube, over which the lumen of an
+increment is measured. Walls at the last depth are drawn over twice this length."""
 PLACES = 201
 """Number of positions along the tube at which the lumen of an increment is measured."""
 
 
 def folder_of(where: str | Path) -> Path:
-    """Return the folder of results that is named by itself or by its file `RUN`."""
+    """Return the folder of a result, given the folder itself or the file `RUN` in it."""
     return Path(where).parent if Path(where).name == RUN else Path(where)
 
 
 @contextmanager
 def reading_run(folder: Path) -> Iterator[xr.Dataset]:
-    """Open the run of a folder as a context.
+    """Read the run of a folder, as a context.
 
     Parameters
     ----------
     folder : Path
         A folder that contains `RUN`.
 
+    Yields
+    ------
+    xarray.Dataset
+        The run.
+
     Raises
     ------
     ConfigError
-        If the file is damaged or of another kind, also if that is found only during its use.
+        If the file is damaged or of another kind, also if that is found only within the context.
     """
     path, advice = folder / RUN, "write one with either command"
     failure = "is damaged or no run of acoustube simulate or indent"
@@ -64,7 +70,7 @@ def reading_run(folder: Path) -> Iterator[xr.Dataset]:
 
 
 def read_run(folder: Path) -> Content:
-    """Return the content of the page of a run; folder and errors are those of `reading_run`."""
+    """Return the content of the page of a run; see :func:`reading_run` for folder and errors."""
     with reading_run(folder) as data:
         simulated = "source_end" in data.dims
         settings = settings_in(data.attrs["configuration"], folder / RUN)
@@ -105,7 +111,7 @@ def _missing(data: xr.Dataset, simulated: bool) -> dict[str, str]:
 
 
 def _rows(data: xr.Dataset) -> list[int]:
-    """Return the indices of the depths that were reached."""
+    """Return the indices of the depths that were reached; raise ConfigError if there are none."""
     there = np.isfinite(data["contact_force"].values)
     if "converged" in data:
         there &= data["converged"].values.astype(bool)

@@ -138,7 +138,10 @@ def underside(press: Indenter, x: Array, z: Array) -> Array:
 
 
 def tool_height(press: Indenter, outer: Array) -> float:
-    """Return the height in m of the lowest point of an indenter just touching points (n, 3)."""
+    """Return the height y in m of the lowest point of an indenter that touches points (n, 3) in m.
+
+    The indenter rests on the points from above, without penetrating any.
+    """
     gap = outer[:, 1] - underside(press, outer[:, 0], outer[:, 2])
     return float(np.nanmax(gap))
 
@@ -150,7 +153,7 @@ def tool(press: Indenter, tube_diameter: float) -> Tool:
     ----------
     press : Indenter
     tube_diameter : float
-        Outer, in m.
+        Outer diameter of the tube in m.
     """
     radius, top = press.diameter / 2, TOOL_HEIGHT * tube_diameter
     reach = TOOL_LENGTH * tube_diameter / 2

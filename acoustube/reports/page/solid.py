@@ -1,4 +1,4 @@
-"""Surfaces of a finite-element mesh of the wall, as a run's file holds it."""
+"""Surfaces of the finite-element mesh of a tube's wall that a run's file holds."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PLANE_TOLERANCE = 1e-6
 FACE_SUBDIVISIONS = 3
 """Number of triangle edges along the edge of an element's face, as it is drawn."""
 SECTION_OFFSET = 1e-7
-"""Axial position in m of the section at the press: nodes lie exactly in z = 0."""
+"""Axial position in m of the section at the press; not zero, since nodes lie exactly in z = 0."""
 
 
 class Solid:
@@ -148,7 +148,10 @@ class Solid:
 
 
 def faces_of(reference: Reference) -> Index:
-    """Return the local nodes of each face of an element, in the order of the face's own nodes."""
+    """Return the local node numbers of an element's faces, (n_faces, n_face_nodes).
+
+    The nodes of each face are in the order of the face's reference element.
+    """
     if reference is HEX20:
         sides = [(axis, side) for axis in range(3) for side in (-1, 1)]
         return np.array([np.flatnonzero(reference.nodes[:, a] == s) for a, s in sides])
@@ -158,7 +161,7 @@ def faces_of(reference: Reference) -> Index:
 
 
 def _single(faces: Index) -> NDArray[np.bool_]:
-    """Return the mask of boundary faces: those of one element only."""
+    """Return the mask of the faces that belong to one element only, which are on the boundary."""
     _, which, count = np.unique(
         np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True
     )
@@ -166,7 +169,7 @@ def _single(faces: Index) -> NDArray[np.bool_]:
 
 
 def _surface(mesh: Mesh, faces: Index, middle: Array, parts: int) -> tuple[Any, Index]:
-    """Return sampling and triangles of faces, turned away from the middles of their elements."""
+    """Return sampling matrix and triangles of faces; normals point away from elements' middles."""
     sampling, triangles = triangulated(mesh, faces, parts)
     points = (sampling @ mesh.points)[triangles]
     normal = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])

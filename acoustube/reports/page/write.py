@@ -32,7 +32,7 @@ def read(where: str | Path) -> Content:
     Raises
     ------
     ConfigError
-        If it is of another kind, or contains no result yet.
+        If the folder does not exist, is of another kind, or contains no result yet.
     """
     PATH.check("where", where)
     folder = folder_of(where)
@@ -58,18 +58,18 @@ def plotly_js() -> str:
 
 
 def assembled(content: Content, library: str) -> str:
-    """Return the page.
+    """Return the page of a content as HTML.
 
     Parameters
     ----------
     content : Content
     library : str
-        Source of plotly.js.
+        Source of plotly.js, from :func:`plotly_js`.
 
     Returns
     -------
     str
-        HTML.
+        One self-contained HTML document.
     """
     folder = files("acoustube.reports.page")
     several = any(len(group.states) > 1 for group in content.groups)

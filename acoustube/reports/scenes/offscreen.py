@@ -1,8 +1,8 @@
 """Views of triangle meshes, rendered by VTK off screen.
 
-Run as a program of its own, ``python -m acoustube.reports.scenes.offscreen VIEWS.pkl IMAGES.npz``:
 VTK ends the process where the libraries for drawing without a screen are missing, and must not take
-a finished simulation with it. That program loads no solver.
+a finished simulation with it. Views are therefore rendered in a process of their own, which loads
+no solver: ``python -m acoustube.reports.scenes.offscreen VIEWS.pkl IMAGES.npz``.
 """
 
 from __future__ import annotations
@@ -66,12 +66,17 @@ class View:
 def rendering(views: Mapping[str, View]) -> Iterator[Callable[[], dict[str, Image] | None]]:
     """Render views in a separate process, while this one goes on.
 
+    Parameters
+    ----------
+    views : mapping of str to View
+        Views by name.
+
     Yields
     ------
     callable
-        Waits for the pictures and returns them, of shape (height, width, 3), by name; None if VTK
-        cannot draw on this machine, or there is no space for them. The process ends with the
-        context.
+        Waits for the pictures and returns them, of shape (height, width, 3), by name of the view.
+        Returns None if VTK cannot draw on this machine, drawing takes longer than `TIME_LIMIT`, or
+        there is no disk space. The process ends with the context.
     """
     with ExitStack() as opened:
         try:
@@ -87,7 +92,7 @@ def rendering(views: Mapping[str, View]) -> Iterator[Callable[[], dict[str, Imag
 
 
 def _pictures(process: subprocess.Popen[bytes], path: Path) -> dict[str, Image] | None:
-    """Wait for the pictures that a process draws."""
+    """Wait for the pictures that a process draws; return them by name, or None if it fails."""
     try:
         if process.wait(TIME_LIMIT):
             return None
@@ -99,7 +104,7 @@ def _pictures(process: subprocess.Popen[bytes], path: Path) -> dict[str, Image] 
 
 @contextmanager
 def _started(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
-    """Start a process whose output nobody reads; it is killed at the end of the context."""
+    """Start a process whose output is discarded, and kill it at the end of the context."""
     none = subprocess.DEVNULL
     process = subprocess.Popen(command, stdin=none, stdout=none, stderr=none)
     try:

@@ -41,13 +41,13 @@ class Picture:
     outer_diameter : float
         Outer diameter of the tubes in m.
     contacts : tuple of (int, float)
-        Tube, counted from 0, and distance in m.
+        Tube, counted from 0, and distance in m of each contact.
     deviation : float
         Standard deviation of a contact's distance in m, the length marked on each side of it.
     markers : ndarray
         Markers on the arm in m, (n, 3); may be empty and may contain nan.
     estimates : tuple of (int, float)
-        Tube and distance in m of estimated contacts.
+        Tube, counted from 0, and distance in m of each estimated contact.
     """
 
     tubes: tuple[Helix, ...]
@@ -71,7 +71,7 @@ def draw(picture: Picture, path: Path) -> bool:
     Returns
     -------
     bool
-        False if there is no picture, because VTK cannot draw on this machine.
+        Whether the file was written; False if VTK cannot draw on this machine.
     """
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -88,7 +88,7 @@ def draw(picture: Picture, path: Path) -> bool:
 
 
 def render(picture: Picture) -> Any:
-    """Return an off-screen plotter with the sleeve, in the coordinates of the arm."""
+    """Return an off-screen PyVista plotter with the sleeve, in the coordinates of the arm."""
     import pyvista
 
     plotter: Any = pyvista.Plotter(off_screen=True, window_size=list(PIXELS))
@@ -164,10 +164,10 @@ def _along(tube: Helix, start: float, stop: float) -> Array:
 
 
 def _lead(tube: Helix) -> Array:
-    """Return points of a lead that leaves the sleeve along its first loop's tangent."""
+    """Return points (n, 3) of a tube's lead, tangent to the start of the helix."""
     start, ahead = tube.point([0.0, 1e-4 * tube.length])
     back = (start - ahead) / np.linalg.norm(ahead - start)
-    # It is drawn short, and bent away from the arm: its actual path is the wearer's choice.
+    # The lead is drawn short and bent: its actual path is the wearer's choice.
     s = np.linspace(0, 1, 30)[:, None]
     drawn = min(tube.lead, 0.3 * tube.length)
     return np.asarray(start + drawn * (s * back + 0.7 * s**2 * np.array([0, 0, -1.0])))
@@ -196,7 +196,7 @@ def _side(picture: Picture) -> Array:
 
 
 def _look(plotter: Any, tube: Helix, side: Array) -> None:
-    """Set the camera to one side of the arm, turned a little towards its start on the left."""
+    """Set the camera to a side of the arm, turned a little towards the arm's start on the left."""
     size = tube.length + 4 * float(np.max(tube.radius_at([0.0, tube.length])))
     plotter.camera.focal_point = (0, 0, 0.45 * tube.length)
     plotter.camera.position = size * (1.1 * side + [0, 0, -0.3]) + [0, 0, 0.45 * tube.length]

@@ -35,8 +35,8 @@ def drawing(walls: xr.Dataset) -> AbstractContextManager[Callable[[], dict[str, 
     Returns
     -------
     context manager of a callable
-        As :func:`acoustube.reports.scenes.offscreen.rendering`, of the pictures ``close_up`` and
-        ``strip``.
+        See :func:`acoustube.reports.scenes.offscreen.rendering`; the pictures are named
+        ``close_up`` and ``strip``.
     """
     from acoustube.runs.config import Mechanics, configured
     from acoustube.runs.config.si import press_in_si
@@ -108,14 +108,14 @@ def close_up(
     press: Indenter,
     layer: float | None = None,
 ) -> View:
-    """Return the pressed part in true proportions, with the indenter and the ground.
+    """Return a view of the pressed part in true proportions, with the indenter and the ground.
 
     Parameters
     ----------
     dataset : xarray.Dataset
         A run.
     walls : dict
-        Its :func:`half_walls`.
+        From :func:`half_walls` of the run.
     press : Indenter
     layer : float, optional
         Thickness of the elastic layer under the tube in m, if there is one.
@@ -155,7 +155,7 @@ def _slab(left: float, right: float, bottom: float, top: float, far: float) -> t
 
 
 def tool_behind(press: Indenter, outer: Any) -> tuple[Any, Any]:
-    """Return points and triangles of an indenter's half with x >= 0, where it touches the wall.
+    """Return points (n, 3) in m and triangles of the half x >= 0 of an indenter on the wall.
 
     Parameters
     ----------
@@ -170,18 +170,20 @@ def tool_behind(press: Indenter, outer: Any) -> tuple[Any, Any]:
 
 
 def layer_sheets(outer: Any, side: tuple[float, float], far: float, bottom: float) -> list[Any]:
-    """Return top and front of an elastic layer, which yields where the tube sinks into it.
+    """Return the top and the front of an elastic layer, as grids of points (n, m, 3) in m.
+
+    The top yields where the tube sinks into the layer.
 
     Parameters
     ----------
     outer : array of shape (n_rings, n_around, 3)
         The outer wall in m, the press at z = 0.
     side : tuple of float
-        Its least and greatest x in m.
+        Least and greatest x of the layer in m.
     far : float
-        Its extent along the tube to both sides, in m.
+        Extent of the layer along the tube to each side of the press, in m.
     bottom : float
-        Height of its underside in m.
+        Height y of the layer's underside in m.
     """
     rings = outer[np.abs(outer[:, 0, 2]) <= far]
     unloaded = outer[0, :, 1].min()
@@ -198,9 +200,14 @@ def layer_sheets(outer: Any, side: tuple[float, float], far: float, bottom: floa
 
 
 def strip(walls: dict[str, tuple[Any, Any]]) -> View:
-    """Return the whole tube so that the picture's width is exactly the tube's length.
+    """Return a view of the whole tube; the picture's width is exactly the tube's length.
 
-    Seen from x < 0, so that distances grow to the right, as in plots.
+    The tube is seen from x < 0, so that distances grow to the right, as in plots.
+
+    Parameters
+    ----------
+    walls : dict
+        From :func:`half_walls`.
     """
     length = float(walls["outer"][0][:, 2].max())
     camera = {

@@ -4,8 +4,8 @@ The sleeve paper is "Wearable, Fabric-Embedded Acoustic Waveguides for Meter-Sca
 Localization and Force Sensing".
 
 A study is a function ``study(scale, work, report)`` that returns a
-:class:`~acoustube.reports.studies.report.Study`. It uses sweeps, datasets, processing and
-estimators as anyone would. ``acoustube reproduce`` runs them; see :mod:`acoustube.cli.reproduce`.
+:class:`~acoustube.reports.studies.report.Study`. It uses the public functions for sweeps, datasets,
+processing and estimators. ``acoustube reproduce`` runs studies; see :mod:`acoustube.cli.reproduce`.
 
 Reading order: `report` (what a study returns), `presses`, `ranged` and `inverted` (common parts);
 `calibration`, `simulation` (`simulation_cases`, `simulation_figures`), `flat` (`flat_figures`,

@@ -30,8 +30,8 @@ from acoustube.waves.network import at_sound_speed
 from acoustube.waves.scattering import ModalScattering, PlacedScatterer
 
 SLEEVE, GIRTHS, LOOPS = 0.26, (0.18, 0.266), 9
-"""Length of the sleeve, and of the forearm around wrist and elbow, in m: what 9 loops of a tube of
-250 cm fit. The sleeve paper states no sizes."""
+"""Length of the sleeve and circumferences of the forearm at wrist and elbow, in m, and number of
+loops. The sleeve paper states no sizes; with these a tube of 250 cm makes 9 loops."""
 PLACES = np.array([0.30, 0.60, 0.90, 1.20, 1.50, 1.80, 2.10])
 """Distances in m of the presses along a tube: seven, spread over the reach."""
 ROD = 25e-3
@@ -73,18 +73,24 @@ def rod_on_a_bend(diameter: float, curvature: float) -> float:
 
 
 def tool(tube: Helix) -> str:
-    """Return the diameter of :func:`rod_on_a_bend` at a sleeve's middle, as a setting in mm."""
+    """Return, as a setting in mm, the diameter of the rod's equivalent on a straight tube.
+
+    See :func:`rod_on_a_bend`; the curvature is that at the middle of the sleeve.
+    """
     curvature = float(tube.bend(tube.length / 2)[0])
     return f"{MM * rod_on_a_bend(ROD, curvature):.1f}"
 
 
 def processing_of(tube: int) -> Processing:
-    """Return the processing of a tube's cycles, calibrated with the tube straight."""
+    """Return the processing of the cycles of a tube, by index, calibrated while it is straight."""
     return calibrated(TUBE_SEEDS[tube])[0].processing
 
 
 def by_depth(folder: Path) -> dict[float, tuple[xr.Dataset, ModalScattering]]:
-    """Return the presses of a sweep, each once, by their depth in m, in the air of the studies."""
+    """Return the first case and the scattering matrix of each press of a sweep, by depth in m.
+
+    The matrix is converted to the air of the studies, at `TEMPERATURE`.
+    """
     speed = air_at(TEMPERATURE).sound_speed
     return {
         round(float(cases["depth"].values[0]), 7): (
@@ -98,17 +104,17 @@ def by_depth(folder: Path) -> dict[float, tuple[xr.Dataset, ModalScattering]]:
 def bent_around(
     helix: Helix, place: float | None, like: ModalScattering, *, flattened: bool = False
 ) -> list[PlacedScatterer]:
-    """Return the bends of a wrapped tube that is pressed at a place in m.
+    """Return the bends of a wrapped tube that is pressed at one place.
 
     Parameters
     ----------
     helix : Helix
     place : float or None
-        Distance of the press; None for a tube without a press.
+        Distance of the press from the sensor in m; None for a tube without a press.
     like : ModalScattering
         Scattering of a press, whose band and modes are used.
     flattened : bool
-        Whether the tube is flattened in the bends as a free tube would be.
+        Whether the bends flatten the tube as they would a free one.
     """
     return windings(
         helix, air_at(TEMPERATURE), like.frequency, [] if place is None else [place],
@@ -126,11 +132,12 @@ def cycles_of(
     name: object,
     labels: Mapping[str, float] | None = None,
 ) -> xr.Dataset:
-    """Record cycles of a press.
+    """Return simulated recordings (cycles) of a press.
 
     Parameters
     ----------
     matrix : ModalScattering
+        Scattering of the press.
     place : float
         Distance of the press in m.
     bends : sequence of PlacedScatterer
@@ -139,9 +146,9 @@ def cycles_of(
         Index of the tube of the sleeve.
     n_cycles : int
     name : object
-        Seed of the noise.
+        Name of the recording, from which the seed of its noise is derived.
     labels : mapping of str to float, optional
-        Labels of all cycles.
+        Labels to add to all cycles, besides ``true_distance``.
 
     Returns
     -------
@@ -159,7 +166,7 @@ def cycles_of(
 
 
 def estimates_of(cycles: xr.Dataset, tube: int) -> xr.Dataset:
-    """Return the estimates of the sleeve paper's processing for cycles, with their labels."""
+    """Return the sleeve paper's estimates for cycles of a tube, by index, and the labels."""
     return estimation.feature_table(cycles, FeatureSettings(processing=processing_of(tube)))
 
 
@@ -202,6 +209,7 @@ def sleeve_inverter(library: Library, tube: int, like: ModalScattering) -> Recor
     ----------
     library : Library
     tube : int
+        Index of the tube of the sleeve.
     like : ModalScattering
         Scattering of a press, whose band and modes are used.
     """
@@ -213,5 +221,5 @@ def sleeve_inverter(library: Library, tube: int, like: ModalScattering) -> Recor
 
 
 def announce(report: Reporter, words: str) -> None:
-    """Print the step that begins."""
+    """Report the step that begins, as a line."""
     report.line(f"{words} ...")

@@ -24,14 +24,17 @@ from acoustube.waves import PlacedScatterer
 RADIUS, LENGTH, TEMPERATURE = 3.95e-3, 2.5, 20.0
 """Radius and length of the tube in m, and temperature of its air in degC."""
 PLACES = np.arange(0.20, 2.001, 0.05)
+"""Distances of the closures in m."""
 CYCLES = 5
 UNTOUCHED = 400
 BAND = np.array([10e3, 90e3])
+"""Frequencies in Hz between which the scattering of a closure is defined."""
 FALSE_ALARMS = 0.01
-"""Fraction of untouched cycles with a false echo that a calibration has to stay below: the
-threshold of prominence is that of the smallest of `FACTORS` with which it does. The sleeve paper
-chose its factor by hand, to minimise false-positive detections."""
+"""Fraction below which the untouched cycles with a false echo must be. The least prominence of an
+echo is the smallest of `FACTORS` with which they are. The sleeve paper chose its factor by hand, to
+minimise false-positive detections."""
 FACTORS = (2.8, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0)
+"""Least prominences that are tried, in standard deviations of untouched cycles."""
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:  # noqa: ARG001
@@ -89,7 +92,7 @@ Neither finite elements nor a grid take part: a closure reflects the whole plane
 
 @cache
 def calibrated(tube_seed: int = 0) -> tuple[Calibration, float]:
-    """Return the calibration of the default rangefinder, and the factor of its prominence.
+    """Return the calibration of the default rangefinder on a tube, and its least prominence.
 
     Parameters
     ----------
@@ -105,7 +108,7 @@ def calibrated(tube_seed: int = 0) -> tuple[Calibration, float]:
     Raises
     ------
     SimulationError
-        If no factor leaves as few false alarms.
+        If false alarms are not below `FALSE_ALARMS` with any of `FACTORS`.
     """
     closed = [
         _recorded([blockage(BAND, float(z))], CYCLES, i, tube_seed) for i, z in enumerate(PLACES)

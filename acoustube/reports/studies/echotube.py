@@ -32,14 +32,14 @@ from acoustube.waves.modes import axial_wavenumber
 BORES = (4.0, 6.0, 8.0, 10.0, 20.0)
 """Bores in mm."""
 REACHES = {4.0: 75.0, 6.0: 178.0, 8.0: 245.0, 10.0: 315.0}
-"""Largest located distances in cm, by bore in mm: the middle where a range is published."""
+"""Published largest located distances in cm, by bore in mm; of a range, the middle."""
 WIDEST_REACH = 390.0
-"""Largest located distance in the widest bore in cm, where its tube ended."""
+"""Published largest located distance in cm in the widest bore, where the tube ended."""
 DEAD_ZONES = {4.0: 15.0, 6.0: 15.0, 8.0: 15.0, 10.0: 20.0, 20.0: 45.0}
 """Published dead zones in cm, by bore in mm."""
 REFERENCE_BORE = 8.0
 """Bore in mm whose published reach gives the dynamic range for all bores."""
-CARRIER, TEMPERATURE, LENGTH = 42e3, 20.0, 6.0
+CARRIER, TEMPERATURE = 42e3, 20.0
 LOCATED_ERROR = 0.02
 """Error in m up to which a closure counts as located."""
 DISTANCES = np.arange(0.05, 0.60, 0.01)
@@ -49,10 +49,11 @@ NEARER, GAPS = 0.6, (0.2, 0.3, 0.4, 0.5)
 """Distance of the nearer of two presses, and distances from it to the other, in m."""
 PRESSED, FEW_PRESSED = (7.5e-3, 8e-3), (6e-3, 8e-3)
 """Depths in m of the nearer press, which must transmit sound, and of the farther one, which closes
-the lumen; in a quick study depths of the flat table."""
+the lumen; FEW_PRESSED are those of a quick study."""
 PEAK_TOLERANCE = 0.1
 """Largest distance in m of a press's peak from the press."""
 DECIBEL = 20 / np.log(10)
+"""Level in dB of an amplitude ratio of e (1 neper)."""
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:
@@ -100,6 +101,7 @@ def reach(bore_mm: float, dynamic: float, *, coupled: bool) -> float:
     Parameters
     ----------
     bore_mm : float
+        Bore in mm.
     dynamic : float
         Largest loss in dB at which a closure is detected.
     coupled : bool
@@ -112,7 +114,7 @@ def reach(bore_mm: float, dynamic: float, *, coupled: bool) -> float:
 
 
 def dead_zone(bore_mm: float) -> float:
-    """Return the distance in m beyond which closures of the tube are located to within 2 cm.
+    """Return the distance in m from which closures of the tube are located to within 2 cm, or inf.
 
     The rangefinder is the default one without noise and clutter. The constant shift of distances
     is removed, as by a calibration.
@@ -132,7 +134,7 @@ def dead_zone(bore_mm: float) -> float:
     shift = float(np.nanmedian((found - DISTANCES)[-20:]))
     located = np.abs(found - shift - DISTANCES) < LOCATED_ERROR
     wrong = np.flatnonzero(~located)
-    return float(DISTANCES[wrong[-1] + 1] if wrong.size else DISTANCES[0])
+    return float(np.append(DISTANCES, np.inf)[wrong[-1] + 1 if wrong.size else 0])
 
 
 def two_presses(scale: Scale, work: Path, report: Reporter) -> list[xr.Dataset]:
@@ -153,14 +155,14 @@ def two_presses(scale: Scale, work: Path, report: Reporter) -> list[xr.Dataset]:
 
 
 def averaged(cycles: xr.Dataset) -> signals.Ranging:
-    """Process the mean of cycles."""
+    """Return the distance and the echoes found in the mean of cycles."""
     mean = cycles["signal"].values.astype(float).mean(axis=0)
     settings = Processing(prominence=5e-4, send_shift=_shift())
     return signals.locate(cycles["time"].values, mean, settings, temperature=TEMPERATURE)
 
 
 def _shift() -> float:
-    """Return the time shift in s that calibrates the distance of a closure of the default tube."""
+    """Return the shift of the send time in s with which a closure at 1 m is located exactly."""
     cycle = record([blockage(BAND, 1.0)], dataclasses.replace(Rangefinder(), clutter=0.0))
     settings = Processing(prominence=1e-3)
     found = signals.locate(

@@ -33,18 +33,20 @@ from acoustube.signals import Processing
 
 ROD = {"indenter_mm": ["25"], "length_cm": ["250"]}
 DEPTHS, FEW_DEPTHS = "0.5:8:0.5", "2:8:2"
-"""Depths in mm, as in the simulations, which share their presses. The study begins at 1 mm."""
+"""Depths in mm: those of the simulation study, so that presses are shared. 0.5 mm is not used."""
 PLACES, FEWER_PLACES, FEW_PLACES = "20:210:1", "20:210:5", "30:150:30"
 SECOND_PLACES, SECOND_FEW = "20:160:35", "40:110:70"
 SECOND_DEPTHS = [f"{depth:.4g}" for depth in np.linspace(0.4, 8.0, 60)]
 CYCLES, FEWER_CYCLES = 50, 5
 PLACE_STRIDE, DEPTH_STRIDE = 10, 3
-"""Recordings at each 10th position of the first dataset, and each 3rd depth of the second, are
-analysed by waveform inversion."""
+"""Waveform inversion analyses recordings at every 10th position of the first dataset, and at every
+3rd depth of the second."""
 NEAR, BEYOND = 0.60, 1.95
-"""Limits in m of the ranges of the smallest reliable depth: up to the first, beyond the second. The
-sleeve paper states 7 mm beyond 1.95 m, and 2.5 mm without a distance; up to 0.6 m its amplitudes
-rise with depth."""
+"""Distances in m: the smallest reliable depth is given for presses up to NEAR, and beyond BEYOND.
+
+The sleeve paper states 7 mm beyond 1.95 m, and 2.5 mm without a distance; up to 0.6 m its
+amplitudes rise with depth.
+"""
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:
@@ -111,7 +113,7 @@ the places that were pressed, and the yielding of the floor."""
 def recorded(
     level: Level, scale: Scale, work: Path, report: Reporter, *, few: bool = False
 ) -> xr.Dataset:
-    """Return the features and estimates of the first dataset.
+    """Record the first dataset, and return its features and labels.
 
     Parameters
     ----------
@@ -136,7 +138,7 @@ def recorded(
 
 
 def recorded_again(level: Level, scale: Scale, work: Path, report: Reporter) -> xr.Dataset:
-    """Return the features and estimates of the second dataset; see :func:`recorded`."""
+    """Record the second dataset, and return its features and labels; see :func:`recorded`."""
     depths = [FEW_DEPTHS] if scale.quick else SECOND_DEPTHS
     places = SECOND_FEW if scale.quick else SECOND_PLACES
     over = {**ROD, "depth_mm": depths, "position_cm": [places]}
@@ -145,7 +147,7 @@ def recorded_again(level: Level, scale: Scale, work: Path, report: Reporter) -> 
 
 
 def echo_features_of(work: Path) -> FeatureSettings:
-    """Return the settings of the whole-echo features of the first dataset."""
+    """Return the settings of whole-echo features, calibrated for the tube of the study."""
     cases = open_dataset(work / "first" / "sweep")
     return FeatureSettings(kind="echo", processing=processing_of(cases, Recipe()))
 
@@ -153,7 +155,7 @@ def echo_features_of(work: Path) -> FeatureSettings:
 def recordings_inverted(
     work: Path, scale: Scale, report: Reporter
 ) -> tuple[xr.Dataset, xr.Dataset]:
-    """Invert some recordings of the study's folder, which contains both datasets.
+    """Invert some recordings of both datasets, given the study's folder.
 
     Returns
     -------
@@ -178,7 +180,10 @@ def recordings_inverted(
 
 
 def every_nth(folder: Path, label: str, stride: int) -> list[xr.Dataset]:
-    """Return the first cycles of presses at every n-th value of a label, of the study's depths."""
+    """Return the first cycles of each press at every n-th value of a label.
+
+    Presses up to :data:`~acoustube.reports.studies.ranged.FIRST_DATASET_DEPTH` are left out.
+    """
     presses = [
         part.isel(cycle=slice(inverted.GROUP)).copy(deep=True)  # not a view of the whole file
         for _, data in read_cycles([folder])
@@ -203,7 +208,7 @@ def _cycles(
     n_cycles: int,
     report: Reporter,
 ) -> xr.Dataset:
-    """Return the cycles of a sweep, recorded and processed."""
+    """Run a sweep, record its cycles, and return their features and labels."""
     cases = swept(work / "sweep", over, level, scale, report)
     recipe = Recipe(n_cycles=n_cycles)
     run_dataset([work / "sweep"], work / "cycles", recipe, report=report, workers=scale.workers)
@@ -243,7 +248,7 @@ def trained_network(table: xr.Dataset, scale: Scale, report: Reporter) -> Model:
 
 
 def localisation_rows(tables: Tables) -> list[Row]:
-    """Return Table I and the reach that the sleeve paper's text states."""
+    """Return rows of Table I, of detection, and of the smallest reliable depths."""
     why = (
         "Ours are of two kinds: small ones, and those of several centimetres where trapped sound "
         "is the highest peak. The sleeve paper's complete closures scatter by 3.6 cm about a line "
@@ -276,7 +281,17 @@ def localisation_rows(tables: Tables) -> list[Row]:
 def force_rows(
     table: xr.Dataset, estimates: xr.Dataset, model: Model, inversion: xr.Dataset | None
 ) -> list[Row]:
-    """Return the row of the paper's Table II for the tube on a flat table."""
+    """Return rows of the force errors in the paper's Table II for the tube on a flat table.
+
+    Parameters
+    ----------
+    table, estimates : xarray.Dataset
+        Second dataset, and the network's estimates for it.
+    model : Model
+        The force network.
+    inversion : xarray.Dataset or None
+        Estimates by waveform inversion, from :func:`recordings_inverted`.
+    """
     found = estimation.errors(table["force"].values, estimates["force"].values)
     other = None if inversion is None else ranged.force_errors(inversion)
     constant = float(np.median(table["force"].values))

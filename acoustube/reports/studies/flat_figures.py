@@ -29,8 +29,8 @@ def distances(table: xr.Dataset) -> Figure:
 
 
 def draw_distances(axes: Axes, table: xr.Dataset) -> None:
-    """Draw estimated against true distance on axes, of at most some 8000 cycles."""
-    some = table.isel(cycle=slice(None, None, max(1, table.sizes["cycle"] // 8000)))
+    """Draw estimated against true distance on axes; of more than 8000 cycles, every n-th."""
+    some = table.isel(cycle=slice(None, None, max(1, -(-table.sizes["cycle"] // 8000))))
     points = axes.scatter(
         CM * some["true_distance"].values, CM * found_distance(some), s=5,
         c=MM * some["depth"].values, cmap="viridis_r", lw=0,
@@ -43,16 +43,16 @@ def draw_distances(axes: Axes, table: xr.Dataset) -> None:
 
 
 def over_map(table: xr.Dataset, values: NDArray[Any]) -> tuple[Array, Array, Array]:
-    """Return the mean of the finite values by distance and depth.
+    """Return the mean of the finite values of cycles, by bin of distance and by depth.
 
     Returns
     -------
-    places : array of shape (n + 1,)
-        Edges of the bins of distance in m.
+    places : array of shape (n,)
+        Lower edges in m of the bins of distance that contain cycles.
     depths : array of shape (m,)
         Depths in m.
     mean : array of shape (m, n)
-        nan in bins without a finite value.
+        In the unit of the values; nan in bins without a finite value.
     """
     edges, column = estimation.bins(table["true_distance"].values, BIN)
     depths, row = np.unique(table["depth"].values.round(9), return_inverse=True)
@@ -67,7 +67,7 @@ def over_map(table: xr.Dataset, values: NDArray[Any]) -> tuple[Array, Array, Arr
 
 
 def maps(table: xr.Dataset) -> Figure:
-    """Draw the mean error, and the fraction of located cycles."""
+    """Draw maps of the mean absolute distance error and of the fraction of located cycles."""
     sheet = Figure(figsize=(12, 4.5), layout="constrained")
     left, right = sheet.subplots(1, 2)
     size = np.abs(found_distance(table) - table["true_distance"].values)
@@ -88,7 +88,7 @@ def _draw_map(
 
 
 def amplitudes(first: xr.Dataset, second: xr.Dataset) -> Figure:
-    """Draw the highest peaks of both datasets."""
+    """Draw maps of the mean height of the highest peak in both datasets."""
     sheet = Figure(figsize=(12, 4.5), layout="constrained")
     for axes, table in zip(sheet.subplots(1, 2), (first, second), strict=True):
         heights = np.asarray(table["features"].sel(feature="amplitude").values)
@@ -101,7 +101,7 @@ def amplitudes(first: xr.Dataset, second: xr.Dataset) -> Figure:
 
 
 def smoothed(values: Array) -> Array:
-    """Return the exponential of the smoothed logarithm, missing values left out."""
+    """Return a map smoothed in its logarithm by a Gaussian of one bin; nan values stay nan."""
     known = np.isfinite(values)
     weight = gaussian_filter(known.astype(float), 1.0)
     total = gaussian_filter(np.where(known, np.log(np.where(known, values, 1.0)), 0.0), 1.0)
@@ -110,7 +110,7 @@ def smoothed(values: Array) -> Array:
 
 
 def forces(table: xr.Dataset, estimates: xr.Dataset) -> Figure:
-    """Draw the second dataset's forces and their relative errors."""
+    """Draw true and estimated forces against depth, and a map of the relative errors."""
     sheet = Figure(figsize=(12, 4.5), layout="constrained")
     left, right = sheet.subplots(1, 2)
     truth, found = table["force"].values, estimates["force"].values

@@ -34,9 +34,9 @@ from acoustube.runs.config import Config, configured
 from acoustube.waves.scattering import ModalScattering
 
 STATES = np.array([1, 3, 5]) / 6
-"""Forces at which the drift within a level is sampled, as fractions of the level's range."""
+"""Forces at which a hand's drift within a level is sampled, as fractions of the level's range."""
 CYCLES = (14, 13, 13)
-"""Number of cycles at each of these forces: 2 s in all."""
+"""Number of cycles at each force of `STATES`: 2 s in all."""
 SHIFT = -0.10
 """Offset in m of the positions on the second tube from those on the first."""
 ARM = {"layer_mm": 20.0, "layer_mpa": 0.06}
@@ -47,6 +47,7 @@ LIBRARY = "0.5:13:0.5"
 GRID = tuple(np.arange(0.5, 13.01, 0.5) / MM)
 """Depths in m of the load path on which a press is interpolated by force."""
 RIGID_GRID = tuple(np.arange(0.5, 8.01, 0.5) / MM)
+"""Depths in m of that load path on a rigid arm."""
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:
@@ -110,7 +111,7 @@ def ground(layer_mm: float | None = None, layer_mpa: float | None = None) -> Con
     Parameters
     ----------
     layer_mm, layer_mpa : float, optional
-        Thickness in mm and Young's modulus in MPa of its tissue; rigid if None.
+        Thickness in mm and Young's modulus in MPa of the arm's tissue; None for a rigid arm.
 
     Notes
     -----
@@ -140,29 +141,31 @@ def ground(layer_mm: float | None = None, layer_mpa: float | None = None) -> Con
 
 
 def forces_of(level: tuple[float, float]) -> Array:
-    """Return the forces in N that sample the range of a press level."""
+    """Return the forces in N that sample a level, given its range in N; shape (3,)."""
     return level[0] + (level[1] - level[0]) * STATES
 
 
 def recorded(
     level: Level, scale: Scale, work: Path, report: Reporter
 ) -> tuple[xr.Dataset, dict[float, tuple[xr.Dataset, ModalScattering]], list[xr.Dataset]]:
-    """Return the estimates for presses by hand, the presses by their force, and their cycles.
+    """Record presses by hand; return the estimates, the computed presses, and some cycles.
 
     Returns
     -------
     table : xarray.Dataset
-        Of averaged cycles, as of :func:`acoustube.estimation.feature_table`, with ``level`` and
-        ``number`` of the tube.
+        Features of one averaged cycle per press, as of :func:`acoustube.estimation.feature_table`,
+        with the least force ``level`` of the press's level in N, and the index ``number`` of the
+        tube.
     presses : dict
         See :func:`acoustube.reports.studies.arm.by_depth`.
     cycles : list of xarray.Dataset
-        Cycles from the middle of each press, in the order of the table.
+        Some cycles from the middle of each press, in the order of the table.
 
     Notes
     -----
-    The depth for a force is interpolated on a load path of the coarse mesh; the forces of the
-    sweep's own mesh, which label the cases, differ from the prescribed ones by its error.
+    The depth for a force is interpolated on a load path of the coarse mesh. The cases are labelled
+    with the forces of the sweep's own mesh, which differ from the prescribed forces by the coarse
+    mesh's error.
     """
     announce(report, "the depths that forces take on soft ground")
     levels = LEVELS[2:] if scale.quick else LEVELS
@@ -207,7 +210,7 @@ def _inverted(
     folder: Path,
     report: Reporter,
 ) -> xr.Dataset:
-    """Invert cycles of each press of a table, and return them with its levels and tubes."""
+    """Return estimates by inversion of each press's cycles, with the table's levels and tubes."""
     over = {
         "indenter_mm": [tool(sleeve()[0])], "support": ["free"],
         "depth_mm": [LIBRARY],
@@ -231,7 +234,7 @@ def averaged(parts: list[xr.Dataset]) -> xr.Dataset:
 
 
 def substrates(*, quick: bool = False) -> dict[str, ByForce]:
-    """Return presses by force on several grounds, by the names of the grounds."""
+    """Return presses at forces up to 8 N on several grounds, by the name of the ground."""
     paths = {"arm of 60 kPa": press_runs.pressed(ground(**ARM), GRID)}
     if not quick:
         paths["arm of 30 kPa"] = press_runs.pressed(ground(**SOFTER), GRID)
@@ -247,7 +250,10 @@ def substrates(*, quick: bool = False) -> dict[str, ByForce]:
 
 
 def distance_rows(tables: Tables) -> list[Row]:
-    """Return the human arm's row of Table I, counts, and errors over the skin."""
+    """Return rows of the human arm's distance errors in Table I, counts, and errors over the skin.
+
+    With an inversion, its force errors are added.
+    """
     why = (
         "A wrapped tube delays echoes in proportion to their distance, and a press is located with "
         "that delay or missed; the sleeve paper adds a hand, whose place is itself known to some "
@@ -278,7 +284,7 @@ def distance_rows(tables: Tables) -> list[Row]:
 
 
 def _force_rows(inversion: xr.Dataset) -> list[Row]:
-    """Return the errors of the inversion's forces, which the sleeve paper does not publish."""
+    """Return rows of the inversion's force errors, which the sleeve paper does not publish."""
     found = ranged.force_errors(inversion)
     return [
         Row(quantity=f"force: {words}", unit=unit, ours=float("nan"), inversion=value,
@@ -311,7 +317,7 @@ def _skin(table: xr.Dataset, tube: int) -> Array:
 
 
 def ground_rows(paths: dict[str, ByForce]) -> list[Row]:
-    """Return the depth and the lumen under a force of 5 N on several grounds."""
+    """Return rows of the indenter's travel and the loss of lumen height at 5 N, by ground."""
     rows = []
     for name, path in paths.items():
         travel, closing = (np.interp(5.0, path.force, v) for v in (path.depth, path.closing))

@@ -17,6 +17,7 @@ from acoustube.reports.studies import ranged
 from acoustube.reports.studies.arm import sleeve
 from acoustube.runs.by_force import ByForce
 from acoustube.sleeve import layout
+from acoustube.sleeve.layouts import OUTER_DIAMETER
 
 LEVELS = ((2.0, 4.0), (4.0, 6.0), (6.0, 8.0))
 """Ranges of force in N."""
@@ -59,7 +60,7 @@ def distances(table: xr.Dataset) -> Figure:
 
 
 def grounds(paths: dict[str, ByForce]) -> Figure:
-    """Draw the travel of the indenter, and the loss of lumen height, against force."""
+    """Draw travel of the indenter and loss of lumen height against force, by name of the ground."""
     sheet = Figure(figsize=(10, 4.2), layout="constrained")
     left, right = sheet.subplots(1, 2, sharey=True)
     for name, path in paths.items():
@@ -77,7 +78,10 @@ def grounds(paths: dict[str, ByForce]) -> Figure:
 
 
 def arm(table: xr.Dataset) -> Figure | None:
-    """Return the sleeve with true and estimated places on its first tube; None without VTK."""
+    """Draw true and estimated places of the hardest presses on the sleeve's first tube.
+
+    None is returned where VTK cannot draw.
+    """
     tube = sleeve()[0]
     hard = (table["number"].values == 0) & (table["level"].values == LEVELS[-1][0])
     part = table.isel(cycle=hard)
@@ -85,7 +89,7 @@ def arm(table: xr.Dataset) -> Figure | None:
     picture = sleeve_scene.Picture(
         tubes=(tube,),
         detection_range=layout([tube]).detection_range,
-        outer_diameter=11.1e-3,
+        outer_diameter=OUTER_DIAMETER,
         contacts=tuple((0, float(z)) for z in part["true_distance"].values),
         deviation=0.0,
         markers=np.empty((0, 3)),

@@ -1,4 +1,4 @@
-"""Waveform inversion of a study's recordings, beside the sleeve paper's processing."""
+"""Waveform inversion of a study's recordings, to compare with the sleeve paper's processing."""
 
 from __future__ import annotations
 
@@ -33,25 +33,26 @@ GROUP = 5
 UNTOUCHED = 200
 """Number of cycles without contact, from which the clutter of the tube is estimated."""
 SEED = 11
-"""Random seed of these cycles."""
+"""Random seed of the cycles without contact."""
 TOLERANCE = 0.005
 """Largest relative error of interpolated scattering, the default of ``acoustube library``."""
 DEPTHS = "0.25:8:0.31"
 """Depths in mm of the libraries; only the last one is also a depth of presses."""
 PLACE_AXIS, FORCE_AXIS = (1e-3, 100.0), (1e-2, 1000.0)
-"""Ranges of the figure's errors in cm and in per cent."""
+"""Ranges of the figure's axes: of errors of place in cm, and of errors of force in per cent."""
 
 
 def library_of(
     folder: Path, over: Mapping[str, Sequence[str]], level: Level, scale: Scale, report: Reporter
 ) -> Library:
-    """Compute or resume a library of presses on the level's mesh, and return it.
+    """Compute or resume a library of presses on the level's mesh, and return the library.
 
     Parameters
     ----------
     folder : Path
+        Folder of the library.
     over : mapping of str to sequence of str
-        Settings of the tool; depths are :data:`DEPTHS` by default.
+        Settings of the indenter; depths are :data:`DEPTHS` if not given.
     level : Level
     scale : Scale
     report : Reporter
@@ -88,8 +89,8 @@ def inverter_of(
     session_seed, tube_seed : int
         See :func:`acoustube.ranging.record`.
     rangefinder : Rangefinder, optional
-        Rangefinder of the recordings, the default one if not given. The mean error of its
-        thermometer is known too, as from a calibration with closures.
+        Rangefinder of the recordings, the default one if not given. The inversion also knows the
+        mean error of its thermometer, as from a calibration with closures.
     wrap : Wrap, optional
         Curvature of a wrapped tube.
     """
@@ -117,9 +118,9 @@ def inverted_table(
     Returns
     -------
     xarray.Dataset
-        A row for each recording along ``cycle``: the labels, the ``features`` with ``distance``
-        alone, as of :func:`acoustube.estimation.feature_table`, and ``estimated_force`` in N, both
-        of the most probable contact; nan where none is detected.
+        A row for each recording along ``cycle``: the labels; ``features`` as of
+        :func:`acoustube.estimation.feature_table`, but only ``distance``; and ``estimated_force``
+        in N. Distance and force are those of the most probable contact, nan where none is detected.
     """
     total = len(recordings)
     with watched_interrupts() as check, report.progress(check) as show:
@@ -140,16 +141,16 @@ def compared_figures(
     forces: tuple[ArrayLike, ArrayLike] | None = None,
     pressed: xr.Dataset | None = None,
 ) -> dict[str, Figure]:
-    """Return the figure of the inversion's errors beside those of the highest peak, by its caption.
+    """Return the figure of the errors by inversion and by the highest peak, by its caption.
 
     Parameters
     ----------
     table : xarray.Dataset
-        With the distances of the highest peak.
+        Cycles, with distances estimated from the highest peak.
     inversion : xarray.Dataset or None
-        From :func:`inverted_table`; None for no figure.
+        From :func:`inverted_table`; if None, the result is empty.
     forces : (array_like, array_like), optional
-        True forces in N, and those of the force network.
+        True forces in N, and the force network's estimates in N.
     pressed : xarray.Dataset, optional
         Inversion that gives the forces, if it is not `inversion`.
     """
@@ -185,9 +186,9 @@ def errors_figure(
     Parameters
     ----------
     places, forces : mapping of str to (array_like, array_like)
-        Truth and estimate in m and in N, by the name of the estimator. An estimate of nan, where no
-        contact is detected, counts as a larger error than any. Without forces their axis is
-        omitted.
+        True values and estimates by the name of the estimator: distances in m, and forces in N. An
+        estimate of nan, where no contact is detected, counts as an error beyond the axis. If
+        `forces` is empty, its panel is omitted.
     """
     given: list[tuple[str, tuple[float, float], Mapping[str, Array]]] = [
         ("absolute error of the distance (cm)", PLACE_AXIS,

@@ -38,7 +38,7 @@ CYCLES, FEWER_CYCLES = 50, 5
 TUBE = 0
 """Index of the pressed tube of the sleeve."""
 SHAPES = ("straight", "wrapped", "flattened")
-"""Shapes of the tube that are compared; the study's numbers are those of the second."""
+"""Shapes of the tube that are compared; the study's numbers are those of the wrapped tube."""
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:
@@ -99,7 +99,7 @@ test machine's rod slid, and how the arm's curved surface took the deep presses.
 
 
 def flat_network(scale: Scale, work: Path, report: Reporter) -> Model:
-    """Return the force network trained for a flat table, on every fifth of the study's positions.
+    """Return the force network trained on the flat table, with every fifth of its positions.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def flat_network(scale: Scale, work: Path, report: Reporter) -> Model:
 def recorded(
     level: Level, scale: Scale, work: Path, shapes: tuple[str, ...], report: Reporter
 ) -> tuple[dict[str, xr.Dataset], list[xr.Dataset], ModalScattering]:
-    """Return the estimates for presses on the sleeve, and cycles of each on the wrapped tube.
+    """Record presses on the sleeve; return estimates, some cycles, and a scattering matrix.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def recorded(
     estimates : dict of xarray.Dataset
         Estimates by shape, as of :func:`acoustube.estimation.feature_table`.
     cycles : list of xarray.Dataset
-        The first cycles of each press.
+        The first cycles of each press of the wrapped tube; empty if that is not in `shapes`.
     matrix : ModalScattering
         Scattering matrix of the shallowest press.
     """
@@ -171,7 +171,7 @@ def recorded(
 
 
 def distance_rows(tables: Tables, helix: Helix) -> list[Row]:
-    """Return the mannequin's row of Table I, and errors over the skin."""
+    """Return rows of the mannequin's distance errors in Table I, and of errors over the skin."""
     why = (
         "A wrapped tube delays echoes in proportion to their distance, and more so those of "
         "shallow presses, which arrive by the slow mode (1,1); echoes below the clutter are "
@@ -210,7 +210,7 @@ def distance_rows(tables: Tables, helix: Helix) -> list[Row]:
 
 
 def farthest(table: xr.Dataset) -> float:
-    """Return the largest distance in m at which half the cycles of a press are located."""
+    """Return the largest distance in m of a press of which most cycles are located; nan if none."""
     good = [
         place
         for place in np.unique(table["true_distance"].values)
@@ -222,7 +222,7 @@ def farthest(table: xr.Dataset) -> float:
 
 
 def force_rows(tables: Tables, network: Model) -> list[Row]:
-    """Return the mannequin's row of Table II."""
+    """Return rows of the mannequin's force errors in Table II."""
 
     def learned(table: xr.Dataset) -> estimation.Errors:
         estimates = estimation.estimate(network, table)
@@ -252,7 +252,7 @@ def force_rows(tables: Tables, network: Model) -> list[Row]:
 
 
 def shape_rows(tables: dict[str, xr.Dataset]) -> list[Row]:
-    """Return the effects of wrapping and of flattening the tube on the highest peaks."""
+    """Return rows of the effects of wrapping and flattening the tube on the highest peaks."""
     straight = peaks(tables["straight"])
     rows = []
     for shape, words in (("wrapped", "wrapped"), ("flattened", "wrapped and flattened")):
@@ -272,7 +272,10 @@ def shape_rows(tables: dict[str, xr.Dataset]) -> list[Row]:
 
 
 def peaks(table: xr.Dataset) -> Array:
-    """Return the mean amplitude of the strongest echo of each located press; nan for others."""
+    """Return the mean height of the highest peak of each press's located cycles, (press,).
+
+    The unit is the send pulse; nan for presses of which no cycle is located.
+    """
     presses = _presses(table)
     heights = table["features"].sel(feature="amplitude").values
     good = ranged.located(table)
@@ -280,7 +283,7 @@ def peaks(table: xr.Dataset) -> Array:
 
 
 def _presses(table: xr.Dataset) -> list[NDArray[np.bool_]]:
-    """Return the mask of each press's cycles, in order of places and depths."""
+    """Return the mask of the cycles of each press, in order of place and then of depth."""
     place, depth = table["true_distance"].values, table["depth"].values
     return [
         (place == z) & (depth == d) for z in np.unique(place) for d in np.unique(depth)
@@ -302,7 +305,7 @@ def _places(table: xr.Dataset, helix: Helix) -> Figure:
 
 
 def _histogram(axes: Axes, table: xr.Dataset, errors: dict[str, Array]) -> None:
-    """Draw the histogram of the presses' mean errors."""
+    """Draw histograms of the mean errors of presses, given errors of cycles in m by label."""
     edges = np.arange(0, 41, 2.0)
     means = [
         [CM * np.mean(e[p & np.isfinite(e)]) for p in _presses(table) if np.isfinite(e[p]).any()]

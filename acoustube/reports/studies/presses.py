@@ -30,8 +30,9 @@ def swept(
     Parameters
     ----------
     folder : Path
+        Folder of the sweep.
     over : mapping of str to sequence of str
-        See :func:`acoustube.runs.sweep.plan.load_plan`.
+        Values of the settings that vary, see :func:`acoustube.runs.sweep.plan.load_plan`.
     level : Level
     scale : Scale
     report : Reporter
@@ -39,7 +40,7 @@ def swept(
     Returns
     -------
     xarray.Dataset
-        See :func:`acoustube.open_dataset`.
+        Cases as of :func:`acoustube.open_dataset`, loaded.
 
     Raises
     ------
@@ -48,7 +49,7 @@ def swept(
     """
     given = {
         "method": ["spectral"], "mesh": [level.mesh],
-        # Of the time-domain solver, for lumens that the spectral solver cannot represent.
+        # The time-domain solver's, which computes lumens that the spectral one cannot represent.
         "resolution": [str(level.resolution)],
     }  # fmt: skip
     plan = load_plan(None, {**given, **over})
@@ -60,7 +61,7 @@ def swept(
 
 
 def matrices(folder: Path) -> Iterator[tuple[xr.Dataset, ModalScattering]]:
-    """Yield the cases of each press of a sweep with their scattering matrix."""
+    """Yield, for each press of a sweep that has a scattering matrix, its cases and this matrix."""
     for path in files_of(folder):
         cases, matrix = store.read(path)
         if matrix is not None:

@@ -17,7 +17,7 @@ from acoustube.reports.studies.report import Row, Tables, compared_row
 FALSE_POSITIVE_ERROR = 0.25
 """Error of the distance in m from which a detection is a false positive."""
 FIRST_DATASET_DEPTH = 0.9e-3
-"""Smallest depth in m of the flat table's first dataset."""
+"""Depth in m that all presses of the flat table's first dataset exceed."""
 DEEP = 6.5e-3
 """Depth in m from which the sleeve paper states the errors of deep presses separately."""
 RELIABLE_FRACTION = 0.5
@@ -25,12 +25,12 @@ RELIABLE_FRACTION = 0.5
 
 
 def distance_errors(table: xr.Dataset) -> Errors:
-    """Return the errors of the distance of cycles with an echo, in m."""
+    """Return the statistics in m of the distance errors of cycles with an echo."""
     return estimation.errors(table["true_distance"].values, found_distance(table))
 
 
 def force_errors(table: xr.Dataset) -> Errors:
-    """Return the errors of the forces of an inversion in N, where it detects a contact."""
+    """Return the statistics in N of an inversion's force errors, where it detects a contact."""
     return estimation.errors(table["force"].values, table["estimated_force"].values)
 
 
@@ -84,20 +84,22 @@ def measure_rows(
     coarser: Errors | None = None,
     inversion: Errors | None = None,
 ) -> list[Row]:
-    """Return median, RMSE and IQR of absolute errors: the columns of the sleeve paper's tables.
+    """Return rows of median, RMSE and IQR of errors: the columns of the sleeve paper's tables.
 
     Parameters
     ----------
     what, unit : str
         The estimated quantity, and its unit in the report.
     ours : Errors
+        Statistics of the errors by the sleeve paper's processing.
     why : str
+        As in :class:`~acoustube.reports.studies.report.Row`.
     scale : float
         Factor from the unit of the errors to that of the report.
     published : sequence of float or None
         Published median, RMSE and IQR in the unit of the report.
     coarser, inversion : Errors, optional
-        Errors on the coarser level, and by waveform inversion.
+        Statistics of the errors on the coarser level, and by waveform inversion.
     """
     return [
         Row(
@@ -114,7 +116,7 @@ def measure_rows(
 
 
 def distance_rows(tables: Tables, published: Sequence[float], why: str) -> list[Row]:
-    """Return a row of the sleeve paper's Table I."""
+    """Return the rows of distance errors that correspond to one row of the paper's Table I."""
     ours, coarser, inversion = tables.measured(distance_errors)
     return measure_rows(
         "distance", "cm", ours, why=why, scale=CM, published=published, coarser=coarser,
@@ -123,7 +125,7 @@ def distance_rows(tables: Tables, published: Sequence[float], why: str) -> list[
 
 
 def detection_rows(tables: Tables) -> list[Row]:
-    """Return the fractions of cycles with an echo, and with an error over 25 cm."""
+    """Return rows of the percentages of cycles with an echo, and with an error over 25 cm."""
     return [
         compared_row(
             lambda cycles: PERCENT * float(np.mean(np.isfinite(found_distance(cycles)))), tables,

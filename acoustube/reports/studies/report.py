@@ -22,7 +22,7 @@ from acoustube.base.writing import write as write_file
 from acoustube.runs.sweep.workers import Workers
 
 MARKED_DIFFERENCE = 1 / 3
-"""Relative difference from a published number from which a row is marked."""
+"""Relative difference from the published number above which a row is marked."""
 COLUMNS = (
     "study", "quantity", "unit", "published", "ours", "difference_percent", "coarser",
     "change_percent", "inversion", "why",
@@ -39,7 +39,7 @@ class Level(NamedTuple):
     resolution : int
         Cells across the bore.
     mesh : str
-        Mesh of the wall, a value of the setting of that name.
+        Mesh of the wall: a value of the setting ``mesh``.
     """
 
     resolution: int
@@ -59,7 +59,8 @@ class Scale:
         A few presses on the coarse level alone, without waveform inversion, as a test; its numbers
         are not accurate.
     workers : int, Workers or None
-        Number of processes, one per core with None; or the pool of the previous study.
+        Number of processes, or a pool of them that an earlier study used; None for one process per
+        core.
     """
 
     quick: bool = False
@@ -84,16 +85,17 @@ class Row:
     ----------
     quantity, unit : str
     ours : float
-        nan where there is none.
+        Computed number; nan where there is none.
     published : float or None
         None where nothing is published.
     coarser : float or None
-        Computed on a coarser mesh and grid; None where neither matters, or it was not computed.
+        Number computed on a coarser mesh and grid; None where mesh and grid do not matter, or where
+        this was not computed.
     inversion : float or None
-        By waveform inversion in place of the sleeve paper's processing; None where it has no such
-        number.
+        Number computed by waveform inversion in place of the sleeve paper's processing; None where
+        inversion does not give this quantity.
     why : str
-        Why the two differ, or how the computed number is defined.
+        Why computed and published number differ, or how the computed number is defined.
     """
 
     quantity: str
@@ -106,12 +108,12 @@ class Row:
 
     @property
     def difference(self) -> float:
-        """Relative difference from the published number; nan where one is missing."""
+        """Computed minus published number, relative to the latter; nan where one is missing."""
         return _relative(self.ours, self.published)
 
     @property
     def change(self) -> float:
-        """Relative change from the coarser level; nan where one is missing."""
+        """Computed number minus that of the coarser level, relative to the former; nan if none."""
         return -_relative(float("nan") if self.coarser is None else self.coarser, self.ours)
 
 
@@ -133,7 +135,7 @@ class Tables(NamedTuple):
     inversion: xr.Dataset | None = None
 
     def measured(self, measure: Callable[[xr.Dataset], T]) -> tuple[T, T | None, T | None]:
-        """Return a measure of each table; None where there is none."""
+        """Return a measure of each table, in the order of the attributes; None without a table."""
         return (
             measure(self.ours),
             None if self.coarser is None else measure(self.coarser),
@@ -142,7 +144,7 @@ class Tables(NamedTuple):
 
 
 def compared_row(measure: Callable[[xr.Dataset], float], tables: Tables, **words: Any) -> Row:
-    """Return the row of a measure, evaluated for each table that exists."""
+    """Return a row whose numbers are a measure of each table; `words` are its other attributes."""
     ours, coarser, inversion = tables.measured(measure)
     return Row(ours=ours, coarser=coarser, inversion=inversion, **words)
 
@@ -175,7 +177,7 @@ def _relative(value: float, reference: float | None) -> float:
 
 
 def write(study: Study, name: str, folder: Path) -> None:
-    """Write a study as ``index.html``, ``table.csv`` and a PNG for each figure.
+    """Write a study as ``index.html``, ``table.csv`` and a PNG per figure, over existing files.
 
     Parameters
     ----------
@@ -196,7 +198,7 @@ def write(study: Study, name: str, folder: Path) -> None:
 
 
 def write_table(studies: Mapping[str, Study], path: Path) -> None:
-    """Write the numbers of studies, by name, as CSV."""
+    """Write the numbers of studies, given by name, as a CSV file, over an existing file."""
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -210,14 +212,14 @@ def write_table(studies: Mapping[str, Study], path: Path) -> None:
 
 
 def index_page(names: Sequence[str]) -> str:
-    """Return a page of links to the pages of studies."""
+    """Return an HTML page of links to the pages of studies."""
     template = files("acoustube.reports.studies").joinpath("index.html").read_text("utf-8")
     links = [f'<li><a href="{escape(n)}/index.html">{escape(n)}</a></li>' for n in names]
     return Template(template).substitute(links="\n".join(links), version=__version__)
 
 
 def page(study: Study, pictures: Mapping[str, bytes]) -> str:
-    """Return a self-contained page: text, table, and figures as PNG by caption."""
+    """Return a study's self-contained HTML page; `pictures` are the PNG figures by caption."""
     figures = "\n".join(
         f'<figure><img alt="{escape(caption)}" src="data:image/png;base64,'
         f'{base64.b64encode(png).decode()}"><figcaption>{escape(caption)}</figcaption></figure>'
@@ -248,7 +250,7 @@ def _html_row(row: Row) -> str:
 
 
 def plain(number: float | None, digits: int = 3, missing: str = "-") -> str:
-    """Return a number as text, to some significant digits; `missing` for None and nan."""
+    """Return a number as text with `digits` significant digits; `missing` if None or not finite."""
     return missing if number is None or not np.isfinite(number) else f"{number:.{digits}g}"
 
 

@@ -32,8 +32,8 @@ from acoustube.reports.studies.simulation_figures import figures
 
 DEPTHS, FEW_DEPTHS = "0.5:8:0.5", "3:6:3"
 LOSSY = {"losses": ["on"], "frequency_khz": ["10", "20", "42"], "length_cm": ["40", "100"]}
-"""Settings of the sweep with losses, also at lower carriers. Their pulses of 11 cycles, 38 cm long
-at 10 kHz, need the longer tube; one scattering matrix serves all."""
+"""Settings of the sweep with losses, also at lower carriers. Pulses of 11 cycles are 38 cm long at
+10 kHz and need the longer tube. One scattering matrix of a press serves all these settings."""
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:
@@ -83,7 +83,10 @@ sound does not."""
 
 
 def mean_error(cases: xr.Dataset | None, rod: str, end: str = "release") -> tuple[float, float]:
-    """Return mean and deviation in cm of the absolute errors of a rod's detected presses."""
+    """Return mean and standard deviation in cm of the absolute distance errors of a rod's presses.
+
+    Presses that are not detected are left out. Both values are nan if `cases` is None.
+    """
     if cases is None:
         return float("nan"), float("nan")
     size = CM * np.abs(of_rod(chosen(cases, end), rod)["error"].values)
@@ -157,7 +160,7 @@ def _smallest_wins(cases: xr.Dataset) -> float:
 
 
 def _time_rows(lossless: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
-    """Return the shift of the direct echo with depth, while it is the highest."""
+    """Return rows of the range over depth of the direct echo's distance, where it is highest."""
     why = (
         "The wall is rigid for sound at 42 kHz, the speed of sound the same at all depths: what "
         "moves is the reflecting part of the press. The sleeve paper suspects a speed that "
@@ -174,7 +177,7 @@ def _time_rows(lossless: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
 
 
 def direct_range(cases: xr.Dataset, rod: str) -> float:
-    """Return the range in cm of the estimates that are within 2 cm of the press."""
+    """Return the range in cm of a rod's distance estimates that are within 2 cm of the press."""
     error = CM * of_rod(chosen(cases, "absorbing"), rod)["error"].values
     near = error[np.abs(error) < 2.0]
     return float(np.ptp(near)) if near.size else float("nan")

@@ -29,27 +29,31 @@ DEFAULT = settings_in_si(Config())
 CARRIER, PROBE = DEFAULT.pulse.frequency, DEFAULT.probe
 """Carrier in Hz, and position of the probe in m."""
 SOUND_SPEED = DEFAULT.air.sound_speed
+"""Sound speed in m/s."""
 CUT_ON = cut_on_frequency(1, 1, DEFAULT.radius, SOUND_SPEED)
-"""Sound speed in m/s, and cut-on of the first higher mode in Hz."""
+"""Cut-on frequency of the first higher mode in Hz."""
 
 
 def chosen(cases: xr.Dataset, end: str) -> xr.Dataset:
-    """Return cases with amplitude, distance and its error at one source end."""
+    """Return cases with amplitude, distance and error of the distance at one kind of source end."""
     return select.chosen(cases.assign(chosen_source_end=("press", [end] * cases.press.size)))
 
 
 def of_rod(cases: xr.Dataset, rod: str) -> xr.Dataset:
-    """Return the cases of a rod, given its diameter in mm, by depth."""
+    """Return the cases of a rod, given its diameter in mm as text, in order of depth."""
     return only(cases, "diameter", float(rod) / MM).sortby("depth")
 
 
 def only(cases: xr.Dataset, label: str, value: float) -> xr.Dataset:
-    """Return the cases with one value of a label."""
+    """Return the cases whose label has a given value, in SI units."""
     return cases.isel(press=np.flatnonzero(np.isclose(cases[label].values, value)))
 
 
 def late_fraction(cases: xr.Dataset) -> Array:
-    """Return the fraction of the echo's energy later than :data:`TRAPPED_AFTER_S`."""
+    """Return the fraction of each case's echo energy later than :data:`TRAPPED_AFTER_S`, (press,).
+
+    The source end absorbs.
+    """
     signal = np.nan_to_num(cases["pressure"].sel(source_end="absorbing").values.astype(float)) ** 2
     time = cases["time"].values
     path = 2 * cases["true_distance"].values - PROBE
@@ -68,8 +72,8 @@ def carried_power(folder: Path) -> dict[tuple[str, float], dict[str, Array]]:
     Returns
     -------
     dict
-        By diameter in mm and depth in m; then by mode: reflected and transmitted fractions of the
-        power of an incident plane wave.
+        Keys are the diameter in mm, as text, and the depth in m. Each value gives for each mode, by
+        name, the reflected and the transmitted fraction of an incident plane wave's power, (2,).
     """
     found = {}
     for cases, matrix in matrices(folder):

@@ -56,7 +56,7 @@ class Track(NamedTuple):
     contacts : list
         Confirmed contacts of each cycle; see :class:`acoustube.sleeve.ContactTracker`.
     seconds : array of shape (cycle,)
-        Processor time of processing and tracking.
+        Processor time of processing and tracking each cycle, in s.
     """
 
     times: Array
@@ -76,7 +76,11 @@ def swiped(
     presses : mapping
         See :func:`acoustube.reports.studies.arm.by_depth`.
     quick : bool
-        A quarter as long.
+        Whether to record only the first quarter of each.
+
+    Returns
+    -------
+    swipe, pair : Track
 
     Notes
     -----
@@ -125,7 +129,10 @@ def _of_force(
 
 
 def _followed(matrices: Sequence[ModalScattering], true: Array, times: Array) -> Track:
-    """Record presses at distances (cycle, contact), detect their echoes and track the contacts."""
+    """Record presses, detect their echoes and track the contacts.
+
+    `true` are the distances of the presses in m, (cycle, contact), and `times` are in s.
+    """
     candidates, contacts, seconds = [], [], []
     tracker = ContactTracker(TRACKING)
     known: signals.Tracker | None = None
@@ -149,9 +156,9 @@ def _followed(matrices: Sequence[ModalScattering], true: Array, times: Array) ->
 
 
 def errors_of(track: Track) -> Array:
-    """Return the error of the tracked contact nearest to each true one, (cycle, contact), in m.
+    """Return the distance in m from each true contact to the nearest tracked one, (cycle, contact).
 
-    nan where no contact is confirmed yet.
+    The distance is not negative. It is nan in cycles without a confirmed contact.
     """
     return np.array(
         [
@@ -162,7 +169,7 @@ def errors_of(track: Track) -> Array:
 
 
 def swipe_rows(tracks: tuple[Track, Track], resolved: NDArray[np.bool_]) -> list[Row]:
-    """Return tracking errors, the numbers of resolved pairs, and the computing time."""
+    """Return rows of the tracking errors, numbers of resolved pairs, and computing time."""
     swipe, pair = tracks
     off, both = errors_of(swipe), errors_of(pair)
     speeds = [now.speed[np.argmin(np.abs(now.place - z))] for now, (z,) in zip(

@@ -1,4 +1,4 @@
-"""Estimates on the flat table from the features of the whole echo, on the same test cycles."""
+"""Estimates of networks whose input is the whole echo, for the second dataset of the flat table."""
 
 from __future__ import annotations
 
@@ -31,16 +31,20 @@ def rows(
     scale: Scale,
     report: Reporter,
 ) -> list[Row]:
-    """Return the errors of the whole-echo networks on the second dataset of the flat table.
+    """Return rows of the errors of whole-echo networks on the flat table's second dataset.
+
+    The networks are trained on the first dataset. Errors are given for the cycles in which the
+    sleeve paper's processing detects an echo, where both methods can be compared, and for all.
 
     Parameters
     ----------
     work : Path
         Folder of the flat study, with the cycles of both datasets.
     settings : FeatureSettings
+        Settings of the whole-echo features.
     detected : array of bool of shape (cycle,)
         Mask of the cycles of the second dataset in which the sleeve paper's processing detects an
-        echo: there both can be compared.
+        echo.
     scale : Scale
     report : Reporter
     """

@@ -1,4 +1,4 @@
-"""Checks across sections of settings."""
+"""Checks of settings against each other, within a section and across sections."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from acoustube.runs.config.settings import IndentationSettings, TubeSettings, Wa
 MM_PER_CM = 10
 
 CELLS_PER_WAVELENGTH = 8
-"""Least number of cells per wavelength of the wave stage."""
+"""Smallest allowed number of grid cells per wavelength of the sound."""
 
 BAND_WIDTH = 3.83
-"""Half width of a pulse's band at -70 dB relative to its carrier, times its number of cycles."""
+"""Half width of a pulse's band at -70 dB, as a fraction of the carrier, times the cycles."""
 MOST_CELLS = 50_000_000
-"""Largest number of cells of the wave stage, which takes some 15 GB of memory."""
+"""Largest number of grid cells of the sound; so many take some 15 GB of memory."""
 
 
 def check_touched(press: IndentationSettings) -> None:
-    """Raise ConfigError if the press does not touch the tube."""
+    """Raise ConfigError if the depth is zero, so that the press does not touch the tube."""
     if press.depth_mm == 0:
         raise ConfigError(
             "is not a press", setting="depth_mm", value=0,
@@ -67,7 +67,7 @@ def check_round(tube: TubeSettings) -> None:
 
 
 def check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
-    """Raise if the indenter would pass the floor, or go far beyond a closed lumen."""
+    """Raise if the indenter passes the floor, or a closed lumen by more than half a wall."""
     depth, outer, bore = indentation.depth_mm, tube.outer_diameter_mm, tube.inner_diameter_mm
     gives = indentation.layer_mm or 0.0
     deepest = _round_down(bore + tube.wall_mm / 2 + gives)
@@ -86,7 +86,7 @@ def check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
 def check_position(
     tube: TubeSettings, indenter_mm: float, position: float, waves: WaveSettings
 ) -> None:
-    """Raise if the part of the tube bent by the press reaches the probe plane or the far end."""
+    """Raise if the part bent by a press at a position in cm reaches the probe plane or far end."""
     reach = pressed_reach(tube.outer_diameter_mm, indenter_mm) / MM_PER_CM
     reach += CLEARANCE * tube.outer_diameter_mm / MM_PER_CM
     nearest = _round_up(waves.probe_cm + reach)
@@ -121,10 +121,11 @@ def grid_cells(
     Parameters
     ----------
     bore, outer_diameter, indenter_diameter, tube_length : float
-        Lengths in the same unit, whichever it is.
+        Lengths, all in one unit.
     resolution : int
         Cells across the bore.
     method : {"full", "scattering", "spectral"}
+        The grid is that of the whole tube with ``full``, otherwise that of the pressed part.
     """
     length = tube_length
     if method != "full":
@@ -190,8 +191,9 @@ def check_pulse(tube: TubeSettings, waves: WaveSettings) -> None:
 
 
 def check_lowpass(tube: TubeSettings, waves: WaveSettings, lowpass: float) -> None:
-    """Raise if the low-pass passes the carrier, or is slower than the recording."""
-    # Rectification doubles the carrier; two octaves above the cut-off it is attenuated by 48 dB.
+    """Raise if a low-pass, in kHz, passes the rectified carrier or is too slow for the record."""
+    # Rectification doubles the carrier's frequency. The filter attenuates by 48 dB two octaves
+    # above its cut-off, which is therefore at most half the carrier.
     highest = waves.frequency_khz / 2
     record_ms = _record_ms(tube, waves)
     # The filter continues the record at both ends by three periods of the cut-off.
@@ -213,7 +215,7 @@ def check_lowpass(tube: TubeSettings, waves: WaveSettings, lowpass: float) -> No
 
 
 def _record_ms(tube: TubeSettings, waves: WaveSettings) -> float:
-    """Return the round-trip time of sound to the far end in ms (mm over m/s)."""
+    """Return the time in ms in which sound travels to the far end and back (mm over m/s)."""
     return 2 * MM_PER_CM * tube.length_cm / sound_speed(waves.temperature_c)
 
 

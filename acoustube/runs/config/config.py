@@ -38,7 +38,8 @@ class Mechanics:
     Raises
     ------
     ConfigError
-        If the depth is outside the model's range.
+        If a section is not of its class, settings of the press contradict each other, the depth is
+        0 or outside the model's range, or an imported wall has another mesh than ``usual``.
     """
 
     tube: TubeSettings = dataclasses.field(default_factory=TubeSettings)
@@ -69,8 +70,9 @@ class Config:
     Raises
     ------
     ConfigError
-        If the sections contradict each other: a depth outside the model's range, a press too
-        near an end, or a grid that is too coarse for the sound or too large.
+        If a section is not of its class, or the sections contradict each other: an imported wall,
+        a depth outside the model's range, a press too near an end, a grid that is too coarse for
+        the sound or too large, a pulse longer than the round trip, or an unsuitable low-pass.
 
     Notes
     -----
@@ -109,7 +111,7 @@ class Config:
         return min(10.0, self.waves.frequency_khz / 2) if given is None else given
 
     def _fill(self, section: str, name: str, value: float) -> None:
-        """Replace a setting that is None by its default, derived from the others."""
+        """Replace a setting that is None by `value`, its default derived from other settings."""
         settings = getattr(self, section)
         if getattr(settings, name) is None:
             object.__setattr__(self, section, dataclasses.replace(settings, **{name: value}))
@@ -129,6 +131,7 @@ SECTIONS: dict[str, type[Any]] = {
     "waves": WaveSettings,
     "signals": SignalSettings,
 }
+"""Classes of the sections by name."""
 
 
 Settings = TypeVar("Settings", Config, Mechanics)

@@ -21,6 +21,7 @@ from acoustube.runs.config.config import SECTIONS, Config, Mechanics, Settings
 _SECTION_OF = {
     field.name: name for name, section in SECTIONS.items() for field in dataclasses.fields(section)
 }
+# Values of settings, by section and name.
 Given = dict[str, dict[str, Any]]
 
 
@@ -30,13 +31,14 @@ def load_config(
     kind: type[Settings] = Config,  # type: ignore[assignment]
     **overrides: Any,
 ) -> Settings:
-    """Build the settings from the defaults, a file and single values, the later overriding.
+    """Build settings from the defaults, overridden by a file and then by single values.
 
     Parameters
     ----------
     path : str or path, optional
         A TOML file with any of the sections ``[tube]``, ``[indentation]``, ``[waves]`` and
-        ``[signals]``; settings that it omits keep their defaults.
+        ``[signals]``; settings that it omits keep their defaults. A relative `surface` is relative
+        to the folder of the file.
     kind : {Config, Mechanics}
         Class of the settings; sections that it lacks are ignored.
     **overrides
@@ -44,8 +46,8 @@ def load_config(
 
     Returns
     -------
-    Config
-        The checked settings.
+    Config or Mechanics
+        The checked settings, of the class `kind`.
 
     Raises
     ------
@@ -68,7 +70,9 @@ def configured(
     kind: type[Settings] = Config,  # type: ignore[assignment]
     **overrides: Any,
 ) -> Settings:
-    """Build the settings from values by section, then from single ones, as :func:`load_config`.
+    """Build settings from values by section and from overrides, as :func:`load_config` does.
+
+    A relative `surface` is relative to the working directory.
 
     Raises
     ------
@@ -86,7 +90,13 @@ def configured(
 
 
 def is_whole(name: str) -> bool:
-    """Return whether a setting is a whole number."""
+    """Return whether a setting is a whole number.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such setting.
+    """
     fields = dataclasses.fields(SECTIONS[section_of(name)])
     (rule,) = (field.metadata["rule"] for field in fields if field.name == name)
     return isinstance(rule, Number) and rule.whole
@@ -106,19 +116,19 @@ def section_of(name: str) -> str:
 
 
 def given_in(path: Path, document: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the values that a TOML file gives, by section.
+    """Return the values of settings that a TOML file gives, by section and name.
 
     Parameters
     ----------
     path : Path
         The file.
     document : dict
-        Its content.
+        Content of the file.
 
     Raises
     ------
     ConfigError
-        If a section or a name is not known.
+        If a section or a name is not known, or a setting stands outside its section.
     """
     for section, values in document.items():
         _check_names(path, section, values)
@@ -128,14 +138,14 @@ def given_in(path: Path, document: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def _make_absolute(given: dict[str, dict[str, Any]], folder: Path) -> None:
-    """Make the path of a surface absolute; a file gives it relative to its own folder."""
+    """Make a relative path of a surface absolute, in place; it is relative to `folder`."""
     surface = given["tube"].get("surface")
     if isinstance(surface, str | Path) and str(surface):
         given["tube"]["surface"] = str(folder / Path(surface).expanduser())
 
 
 def _check_names(path: Path, section: str, values: Any) -> None:
-    """Raise unless this is a known section with known settings."""
+    """Raise unless `section` is a known section and `values` holds known settings of it."""
     if section in SECTIONS and not isinstance(values, dict):
         raise ConfigError(
             f"{path}: {section} must be a section, written [{section}] above its settings"
@@ -156,7 +166,14 @@ def _check_names(path: Path, section: str, values: Any) -> None:
 
 
 def describe(name: str, default: Any = None) -> str:
-    """Describe a setting: its meaning, its default (or another), and its range."""
+    """Return the help text of a setting: meaning, allowed range and default, as far as it has them.
+
+    Parameters
+    ----------
+    name : str
+    default : optional
+        Value to show in place of the setting's own default.
+    """
     section = _SECTION_OF[name]
     (field,) = (f for f in dataclasses.fields(SECTIONS[section]) if f.name == name)
     rule = field.metadata["rule"]
@@ -170,7 +187,7 @@ def describe(name: str, default: Any = None) -> str:
 
 
 def to_toml(config: Config | Mechanics) -> str:
-    """Write the settings as a TOML document that :func:`load_config` reads back unchanged.
+    """Return settings as a TOML document that :func:`load_config` reads back unchanged.
 
     Parameters
     ----------
@@ -180,8 +197,8 @@ def to_toml(config: Config | Mechanics) -> str:
     Returns
     -------
     str
-        Every section and every setting that has a value, each with its meaning and its range as a
-        comment.
+        Every section and every setting, each with its meaning and its range as a comment. A setting
+        without a value is itself a comment.
     """
     import tomlkit
 

@@ -21,10 +21,11 @@ MOST_RANGEFINDERS = 1000
 MOST_SAMPLES = 20000
 """Largest number of samples of a cycle."""
 LONGEST_PULSE = 5e-3
-"""Longest drive in s: the frequency step of a design does not resolve the spectra beyond it."""
+"""Longest drive in s: the frequency step of a design does not resolve spectra of longer ones."""
 TRANSDUCERS = "resonant", "loudspeaker"
+"""Kinds of transducer."""
 WIDEST_CHIRP = 1.6
-"""Largest bandwidth of a chirp relative to its carrier, a little less than the inversion takes."""
+"""Largest ratio of a chirp's bandwidth to its carrier, a little below the inversion's limit."""
 LEAST_RATE = 2.3
 """Lowest ratio of sampling rate to carrier frequency."""
 
@@ -58,8 +59,8 @@ class Goal(Section):
     temperature_c : float
         Air temperature in degC.
     model_um : float
-        Standard deviation of depths in um due to errors of the forward model; between two meshes
-        it is 50 um.
+        Standard deviation of depths in um due to errors of the forward model; 50 um is that
+        between two meshes.
     average : int
         Number of cycles whose mean is inverted.
     """
@@ -101,12 +102,12 @@ class Goal(Section):
 
     @property
     def hardness(self) -> float:
-        """Relative standard deviation of the wall's modulus."""
+        """Relative standard deviation of the wall's modulus, as a fraction."""
         return self.hardness_percent / PERCENT
 
     @property
     def model(self) -> float:
-        """Standard deviation of depth from errors of the forward model, in m."""
+        """Standard deviation of depths in m due to errors of the forward model."""
         return self.model_um / UM
 
     @property
@@ -121,17 +122,17 @@ class Goal(Section):
 
     @property
     def asked(self) -> tuple[float, float, float, float]:
-        """Reach, distance of two presses, standard deviation of place, and nearest press, in m."""
+        """Required reach, separation, deviation of position and nearest press, all in m."""
         return self.reach_m, self.separation, self.place_deviation, self.nearest_m
 
     def samples_at(self, rate: float) -> int:
-        """Return the number of samples, at a rate in Hz, up to an echo from the tube's end."""
+        """Return the number of samples of a cycle, at a rate in Hz, up to the tube end's echo."""
         return int(rate * (2 * self.reach_m / 340 + 4e-3))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Variables(Section):
-    """Ranges of the design variables; a single number fixes one."""
+    """Ranges of the design variables; a single number fixes a variable."""
 
     bore_mm: tuple[float, float] = numbers((5.0, 12.0), Number(2, 25, "mm", "bore"), span=True)
     wall_mm: tuple[float, float] = numbers(
@@ -171,7 +172,8 @@ class Variables(Section):
     def chirp_carrier(self, bandwidth: float) -> tuple[float, float]:
         """Return the lowest and highest carrier in Hz of a drive of a bandwidth in Hz.
 
-        A chirp lies within the range of the carriers; a fixed carrier is its centre frequency.
+        The whole band of a chirp lies within the range of the carriers, so that the lowest exceeds
+        the highest for a bandwidth wider than this range. A fixed carrier stays the centre.
         """
         low, high = self.carrier
         return (low + bandwidth / 2, high - bandwidth / 2) if high > low else (low, high)
@@ -197,7 +199,8 @@ class DesignGoal:
     Raises
     ------
     ConfigError
-        If they contradict each other, or the search or a cycle is too long.
+        If requirements and ranges contradict each other, there are too many combinations to search,
+        or a cycle has too many samples.
     """
 
     goal: Goal = dataclasses.field(default_factory=Goal)
@@ -239,12 +242,12 @@ class DesignGoal:
         self._check_sizes()
 
     def bends(self, bore_mm: float, wall_mm: float) -> bool:
-        """Return whether a tube of a bore and a wall in mm bends as asked without kinking."""
+        """Return whether a tube, bore and wall in mm, bends as required without kinking."""
         tube = Tube(inner_diameter=bore_mm / MM, wall_thickness=wall_mm / MM)
         return not kinks(tube, self.goal.curvature)
 
     def _check_sizes(self) -> None:
-        """Raise if a search would take too long, or a cycle have too many samples."""
+        """Raise if tools are listed twice, or cycles, drives or lists exceed their limits."""
         goal, free = self.goal, self.variables
         if len(set(goal.tools_mm)) < len(goal.tools_mm):
             raise ConfigError(
@@ -293,7 +296,7 @@ def read_goal(path: Path) -> DesignGoal:
     Raises
     ------
     ConfigError
-        If it cannot be read, or a section, a name or a value is wrong.
+        If the file cannot be read, or a section, a name or a value is wrong.
     """
     document, found = read_document(path), {}
     for name, values in document.items():
@@ -314,7 +317,7 @@ def read_goal(path: Path) -> DesignGoal:
 
 
 def in_toml(design: DesignGoal) -> str:
-    """Return a goal with all defaults, as a file that :func:`read_goal` reads back."""
+    """Return a goal as TOML text with every setting, which :func:`read_goal` reads back."""
     import tomlkit
 
     document = tomlkit.document()

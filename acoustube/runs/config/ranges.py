@@ -10,6 +10,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Choice, Number
 
 MOST_VALUES = 64
+"""Largest number of values of a setting."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,8 @@ class Numbers:
     each : Number
         Rule of each number.
     span : bool
-        Whether they are the ends of a range: one number, or two of which the second is not less.
+        Whether the numbers are the ends of a range: the lowest and the highest, or one number for
+        both.
     """
 
     each: Number
@@ -39,12 +41,12 @@ class Numbers:
         return f"{kind} within {self.each.allowed}"
 
     def check(self, name: str, value: Any) -> tuple[float, ...]:
-        """Return the values as a tuple; of a range, both ends.
+        """Return the values as a tuple, of a range the lowest and the highest.
 
         Raises
         ------
         ConfigError
-            If a value is wrong, or there are none or too many.
+            If a value is wrong, there are none or too many, or the lowest is not first.
         """
         given = tuple(value) if isinstance(value, list | tuple) else (value,)
         most = 2 if self.span else MOST_VALUES
@@ -84,12 +86,12 @@ class Words:
         return f"one or more of {', '.join(self.each.options)}"
 
     def check(self, name: str, value: Any) -> tuple[str, ...]:
-        """Return the words as a tuple.
+        """Return the words as a tuple without repetitions.
 
         Raises
         ------
         ConfigError
-            If one is not a choice, or there are none.
+            If a word is not a choice, or there are none.
         """
         given = tuple(value) if isinstance(value, list | tuple) else (value,)
         found = tuple(dict.fromkeys(self.each.check(name, one) for one in given))
@@ -99,5 +101,5 @@ class Words:
 
 
 def numbers(default: tuple[float, ...], each: Number, *, span: bool = False) -> Any:
-    """Return a setting of one or more numbers, see :class:`Numbers`."""
+    """Return a dataclass field for one or more numbers with the rule :class:`Numbers`."""
     return dataclasses.field(default=default, metadata={"rule": Numbers(each, span)})

@@ -2,7 +2,7 @@
 
 Each section is a frozen dataclass whose fields carry their own rule (range or choice), so that one
 check serves them all; :class:`Config` adds the checks that need more than one section. This module
-imports nothing heavy: wrong settings are rejected at once.
+imports no solver, so that wrong settings are rejected at once.
 """
 
 from __future__ import annotations
@@ -59,12 +59,12 @@ class TubeSettings(Section):
 
     @property
     def hardness_shore_a(self) -> float:
-        """Shore A hardness of the wall, where no shear modulus is given."""
+        """Shore A hardness of the wall; without effect where a shear modulus is given."""
         return DEFAULT_SHORE_A if self.shore_a is None else self.shore_a
 
 
 class _Depth(Number):
-    """Rule of an indentation depth; zero is the untouched tube."""
+    """Rule of an indentation depth, of which zero is the untouched tube."""
 
     @property
     def allowed(self) -> str:

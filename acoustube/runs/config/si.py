@@ -2,7 +2,7 @@
 
 All computations use :class:`SIPress` and :class:`SISettings`, in which every default is filled in.
 Temperatures stay in degC and the relative humidity in per cent, as :func:`acoustube.air.air_at`
-takes them. Unlike the rest of this package, the module imports the stages.
+takes them. Unlike the rest of this package, the module imports the stages of the computation.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from acoustube.tube import Tube
 from acoustube.waves import Pulse, SourceEnd
 
 FACTORS = {"mm": MILLI, "cm": CENTI, "kHz": KILO, "kPa": KILO, "MPa": MEGA, "deg": math.pi / 180}
-"""Factors to SI units; temperatures stay in degC, and fractions in per cent."""
+"""Factors to SI units, by unit; temperatures stay in degC, and fractions in per cent."""
 
 MESH_SIZES = {
     "coarse": MeshSize(through_wall=1, around=12, along=10),
@@ -118,7 +118,10 @@ class SISettings(SIPress):
 
 
 def to_si(value: float | None, unit: str) -> float | None:
-    """Return a value in SI units, given its unit; None stays None."""
+    """Return a value in SI units, given its unit; None stays None.
+
+    Units that are not in :data:`FACTORS` are kept.
+    """
     return None if value is None else FACTORS.get(unit, 1) * value
 
 

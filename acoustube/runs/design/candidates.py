@@ -44,11 +44,11 @@ class Candidate:
 
     @property
     def objectives(self) -> Array:
-        """Reach, relative rms deviation of force, resolution, median deviation of place, in SI."""
+        """Reach, relative rms error of force, resolution, median error of position; in SI, (4,)."""
         return np.append(self.found.objectives, np.median(self.found.place))
 
     def shortfalls(self, design: DesignGoal) -> list[str]:
-        """Return the requirements that are missed, each with the value and the required one."""
+        """Return in words the requirements that are missed, with actual and required value."""
         goal, (reach, _, resolution, place) = design.goal, self.objectives
         found, nearest = [], float(self.found.nearest)
         for name, short, scale, unit, value, asked in (
@@ -68,7 +68,7 @@ class Candidate:
 
     @property
     def row(self) -> dict[str, Any]:
-        """The sensor and its objectives in the units of their names."""
+        """Row of the table: the sensor and its objectives, in the units that the names state."""
         r, (reach, force, resolution, place) = self.rangefinder, self.objectives
         assert isinstance(r.drive, Burst | Chirp)
         return {
@@ -92,7 +92,7 @@ class Candidate:
 
 
 class Choice(NamedTuple):
-    """Choice of the electronics, except carrier and cycles.
+    """Electronics of a sensor, except carrier and cycles.
 
     Attributes
     ----------
@@ -105,7 +105,9 @@ class Choice(NamedTuple):
     rate : float
         Sampling rate in Hz.
     bits : int
+        Resolution of the converter.
     ends : int
+        Number of ends of the tube with a rangefinder.
     """
 
     transducer: str
@@ -117,7 +119,7 @@ class Choice(NamedTuple):
 
 
 def choices_of(design: DesignGoal) -> list[Choice]:
-    """Return all combinations of electronics; a loudspeaker has no quality factor."""
+    """Return all combinations of electronics in a goal; a loudspeaker has no quality factor."""
     free = design.variables
     made = itertools.product(
         free.transducer, free.quality_factor, free.bandwidths, free.rates, free.bits, free.ends
@@ -141,7 +143,11 @@ def choice_of(candidate: Candidate) -> Choice:
 def rangefinder_of(
     design: DesignGoal, carrier: float, cycles: float, choice: Choice
 ) -> Rangefinder:
-    """Return the default rangefinder, or a loudspeaker, with another pulse and converter, in SI."""
+    """Return a rangefinder with a carrier in Hz, a number of cycles, and chosen electronics.
+
+    Other parameters are those of the default rangefinder or of
+    :data:`acoustube.ranging.rangefinder.LOUDSPEAKER`.
+    """
     samples, duration = design.goal.samples_at(choice.rate), float(cycles) / float(carrier)
     usual = LOUDSPEAKER if choice.transducer == "loudspeaker" else Rangefinder()
     drive: Burst | Chirp = Burst(frequency=float(carrier), cycles=float(cycles))
@@ -156,7 +162,11 @@ def rangefinder_of(
 
 
 def suits(carrier: float, cycles: float, choice: Choice) -> bool:
-    """Return whether a drive is below half of the sampling rate, and a chirp longer than 3 / B."""
+    """Return whether electronics suit a carrier in Hz and a number of cycles.
+
+    The band must lie below half the sampling rate, and a chirp's product of duration and bandwidth
+    be at least :data:`LEAST_PRODUCT`.
+    """
     highest = max(LEAST_RATE / 2 * carrier, carrier + CHIRP_BAND * choice.bandwidth)
     chirped = choice.bandwidth * cycles / carrier
     return highest <= choice.rate / 2 * (1 + 1e-9) and (not chirped or chirped >= LEAST_PRODUCT)

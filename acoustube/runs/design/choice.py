@@ -27,15 +27,15 @@ from acoustube.runs.design.tubes import REFERENCE_SHORE_A, Compute, TubeSpec
 PAPER = TubeSpec(7.9, 1.6, 35.0)
 """Tube of the sleeve paper."""
 WORSE = 1.25
-"""Largest error of force of a recommended sensor, relative to the least of all candidates."""
+"""Largest rms error of force of a recommended sensor, over the least of all candidates."""
 MAP_PLACES, MAP_FORCES = 16, 12
-"""Numbers of places and forces of a map of errors."""
+"""Numbers of positions and of forces of a map of errors."""
 CHANGES = {"bore": 0.05, "hardness": 5.0, "temperature": 10.0}
-"""Changes of bore (relative), hardness in Shore A and temperature in K for the robustness."""
+"""Changes for the robustness: bore (relative), hardness in Shore A, temperature in K."""
 
 
 class Map(NamedTuple):
-    """Expected errors over place and force under the first tool.
+    """Expected errors over position and force under the first tool.
 
     Attributes
     ----------
@@ -44,11 +44,11 @@ class Map(NamedTuple):
     force : ndarray
         Forces in N, (n_f,).
     depth : ndarray
-        Depths at the forces in m, (n_f,); beyond the last press, its depth.
+        Depths in m at these forces, (n_f,); for forces above those of the press, its last depth.
     force_error : ndarray
         Relative standard deviations of force, (n_f, n_z).
     place_error : ndarray
-        Standard deviations of place in m, (n_f, n_z).
+        Standard deviations of position in m, (n_f, n_z).
     """
 
     place: Array
@@ -72,7 +72,8 @@ class Recommended(NamedTuple):
     limits : dict of str to float
         Fractions of the mean square error of force by cause; see :func:`limits_of`.
     robustness : dict of str to ndarray
-        Objectives after a change of bore, hardness or temperature, by the change.
+        Objectives, (4,), after a change of bore, hardness or temperature, by the change in words;
+        see :func:`robustness_of`. Empty if not computed.
     ranges : dict of str to (float, float)
         See :func:`acoustube.runs.design.parts.ranges_of`.
     pairs : Pairs or None
@@ -90,11 +91,12 @@ class Recommended(NamedTuple):
 
 
 def recommended(design: DesignGoal, front: Sequence[Candidate]) -> list[tuple[str, str, Candidate]]:
-    """Return names, reasons and sensors: the best in force, reach and resolution.
+    """Return names, reasons and sensors of a front: the best in force, reach and resolution.
 
-    Each is the best of the candidates that meet the goal's other requirements and whose error of
-    force is at most :data:`WORSE` times the least. If there are none, it is the best of those that
-    miss the requirements by least. No sensor is recommended twice.
+    Each sensor is the best of the candidates that meet the goal's other requirements and whose
+    error of force is at most :data:`WORSE` times the least. Without such candidates it is the best
+    of those that miss the requirements by least. No sensor is recommended twice, so that a short
+    front gives fewer than three.
     """
     goal, least = design.goal, min(one.objectives[1] for one in front)
 
@@ -124,7 +126,10 @@ def recommended(design: DesignGoal, front: Sequence[Candidate]) -> list[tuple[st
 
 
 def paper_sensor(design: DesignGoal, tubes: Sequence[PressedTube]) -> Candidate:
-    """Return the sleeve paper's sensor with its predicted errors for a goal."""
+    """Return the sleeve paper's sensor with its predicted errors for a goal.
+
+    `tubes` are the presses of :data:`PAPER` by each tool.
+    """
     usual = Rangefinder()
     assert isinstance(usual.drive, Burst)
     own = Choice("resonant", usual.quality_factor, 0.0, usual.sampling_rate, usual.bits, 1)
@@ -134,7 +139,7 @@ def paper_sensor(design: DesignGoal, tubes: Sequence[PressedTube]) -> Candidate:
 
 
 def error_map(design: DesignGoal, tubes: Sequence[PressedTube], candidate: Candidate) -> Map:
-    """Return the expected errors of a sensor over place and force, under the first tool."""
+    """Return the expected errors of a sensor over position and force under the first tool."""
     goal = design.goal
     place = np.linspace(goal.nearest_m, goal.reach_m, MAP_PLACES)
     force = np.geomspace(*goal.forces_n, MAP_FORCES)
@@ -185,6 +190,9 @@ def robustness_of(
 ) -> dict[str, Array]:
     """Return a sensor's objectives with changed bore, hardness or air, calibrated for each change.
 
+    The result has :attr:`acoustube.runs.design.candidates.Candidate.objectives` by the change in
+    words. A change to a tube that cannot be computed is left out.
+
     Parameters
     ----------
     design : DesignGoal
@@ -227,7 +235,7 @@ def robustness_of(
 
 
 def warmed(tube: PressedTube, temperature: float) -> PressedTube:
-    """Return a tube in air of another temperature in degC; its reflection depends only on f / c."""
+    """Return a tube in air of a temperature in degC; its reflection is a function of f / c."""
     speed = air_at(temperature).sound_speed
     at = tube.frequency * tube.sound_speed / speed
     parts = [

@@ -1,4 +1,4 @@
-"""Files of a design: the front as a table, and sensors as settings of other commands."""
+"""Files of a design: the Pareto front as a table, and sensors as settings of other commands."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from acoustube.runs.design.candidates import Candidate
 from acoustube.runs.sensor_file import OF_OTHERS, add_rangefinder
 
 BAND_MARGIN = 0.04
-"""Relative margin of a library's band for other temperatures."""
+"""Relative margin of a library's band, for recordings at other temperatures."""
 
 
 def front_csv(front: Sequence[Candidate]) -> str:
-    """Return the candidates of a front as a table, the longest reach first."""
+    """Return the candidates of a front as a CSV table, in the order given."""
     text = io.StringIO()
     rows = [one.row for one in front]
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
@@ -33,7 +33,7 @@ def front_csv(front: Sequence[Candidate]) -> str:
 
 
 def sensor_toml(design: DesignGoal, candidate: Candidate) -> str:
-    """Return a candidate's rangefinder as a file for ``--sensor``."""
+    """Return a candidate's rangefinder and tube length as TOML text for ``--sensor``."""
     document = tomlkit.document()
     document.add(tomlkit.comment("The rangefinder of a designed sensor, for --sensor"))
     rangefinder = candidate.rangefinder
@@ -51,14 +51,14 @@ def sensor_toml(design: DesignGoal, candidate: Candidate) -> str:
 
 
 def library_band(drive: Chirp) -> tuple[float, float]:
-    """Return the ends in kHz of the band of a library for a chirp, in air within some 20 K."""
+    """Return lowest and highest frequency in kHz of a chirp's library, for air within some 20 K."""
     half = (1 + BAND_MARGIN) * CHIRP_BAND * drive.bandwidth
     low, high = drive.frequency - half, drive.frequency + half
     return round(KHZ * low * (1 - BAND_MARGIN), 1), round(KHZ * high * (1 + BAND_MARGIN), 1)
 
 
 def config_toml(design: DesignGoal, candidate: Candidate) -> str:
-    """Return a candidate's tube and a press of it as a file for ``--config``."""
+    """Return a candidate's tube, and a press of half its bore, as TOML text for ``--config``."""
     goal, spec, r = design.goal, candidate.tube, candidate.rangefinder
     assert isinstance(r.drive, Burst | Chirp)
     ground: dict[str, Any] = {"support": "held"}

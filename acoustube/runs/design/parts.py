@@ -38,8 +38,8 @@ def ranges_of(
     -------
     dict of str to (float, float)
         Lowest and highest value by the name of the part with its unit. The carrier is varied for
-        drive and transducer alike; the noise is that of the converter, relative. On a table the
-        hardness is varied too, which there needs no further press. Each varied sensor has its own
+        drive and transducer alike. The noise is relative to that of the sensor. The hardness is
+        varied on a table only, where it needs no further press. Each varied sensor has its own
         calibration and library.
     """
     shore, average = candidate.tube.shore, design.goal.average
@@ -85,10 +85,11 @@ def ranges_of(
 def pairs_of(
     design: DesignGoal, tubes: Sequence[PressedTube], candidate: Candidate
 ) -> Pairs | None:
-    """Return the errors of pairs of presses at the goal's separation; None if not computed.
+    """Return the expected errors of two simultaneous presses at the goal's separation.
 
     The first presses are the goal's contacts that lie beyond the ring-down, do not close the lumen
-    and leave room on the tube for the second press. One rangefinder records.
+    and leave room on the tube for the second press. One rangefinder records. None is returned if
+    there are fewer than two such contacts, or the transmission of a tube is not known.
     """
     goal = design.goal
     contacts = contacts_of(design)

@@ -56,7 +56,7 @@ class Designed(NamedTuple):
     design : DesignGoal
     seed : int
     front : list of Candidate
-        Pareto front in reach, force, resolution and place.
+        Pareto front in reach, force, resolution and position.
     sensors : list of Recommended
         The recommended sensors, and last the sleeve paper's if it can be computed.
     tubes : int
@@ -74,7 +74,7 @@ class Designed(NamedTuple):
 
     @property
     def notes(self) -> list[str]:
-        """Warnings, and assumptions of the predictions."""
+        """Sentences: warnings, and assumptions of the predictions."""
         found = []
         if all(one.shortfalls(self.design) for one in self.front):
             found.append(
@@ -111,7 +111,7 @@ def run_design(
     seed : int
         Random seed of the first tubes.
     tubes : int
-        Largest number of tubes of the search.
+        Largest number of tubes that the search computes.
     robust : bool
         Whether the recommended sensors are also computed with other bore, hardness and temperature.
     report : Reporter
@@ -196,12 +196,12 @@ def _searched(
 
 
 def _pressed_as(design: DesignGoal, spec: TubeSpec) -> TubeSpec:
-    """Return the tube whose presses serve for a candidate's tube."""
+    """Return the tube whose presses are used for a tube: on a table at the reference hardness."""
     return spec._replace(shore=REFERENCE_SHORE_A) if design.goal.support == "table" else spec
 
 
 def summary(found: Designed) -> list[tuple[str, str]]:
-    """Return the sensors in words, by name."""
+    """Return names and descriptions of the sensors, and last the number of tubes."""
     rows = []
     for one in found.sensors:
         row = one.candidate.row

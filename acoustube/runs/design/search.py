@@ -37,15 +37,15 @@ from acoustube.tube import shear_modulus_from_shore
 CONTACTS = 32
 """Number of contacts that are drawn from a goal, always the same ones."""
 STEPS = {"bore": 0.5, "wall": 0.25, "shore": 5.0}
-"""Steps of the tubes' lattice in mm and Shore A: tubes are not made in smaller steps."""
+"""Steps in mm and Shore A of the lattice of tubes, which are not made in smaller steps."""
 WIDEST = 4
-"""First step of the pattern search, in steps of the lattice; it is halved down to 1."""
+"""First step of the pattern search, in steps of the lattice; later steps are halved down to 1."""
 CARRIERS, PULSES, HARDNESSES = 14, 5, 5
 """Numbers of values of carrier, cycles and (on a table) hardness that are tried for each tube."""
 
 
 def contacts_of(design: DesignGoal, n: int = CONTACTS) -> Contacts:
-    """Return contacts of a goal, even over position, tool and the logarithm of force."""
+    """Return n contacts of a goal, spread evenly over position, tool and logarithm of force."""
     goal = design.goal
     draws = qmc.Sobol(3, seed=1).random(n)
     low, high = goal.forces_n
@@ -58,7 +58,7 @@ def contacts_of(design: DesignGoal, n: int = CONTACTS) -> Contacts:
 
 
 def modulus_of(design: DesignGoal, shore: float) -> float:
-    """Return the shear modulus at a hardness relative to that of the presses; 1 on an arm."""
+    """Return the modulus at a hardness over that of the computed presses; 1 on an arm."""
     if design.goal.support != "table":
         return 1.0
     return float(shear_modulus_from_shore(shore) / shear_modulus_from_shore(REFERENCE_SHORE_A))
@@ -73,11 +73,12 @@ def known_of(
     ----------
     design : DesignGoal
     tubes : sequence of PressedTube
-        Presses by each indenter, computed at :data:`REFERENCE_SHORE_A` on a table, else at `shore`.
+        Presses of one tube by each tool, computed on a table at
+        :data:`acoustube.runs.design.tubes.REFERENCE_SHORE_A`, else at `shore`.
     shore : float
         Shore A hardness.
     contacts : Contacts, optional
-        Those of :func:`contacts_of` by default.
+        Contacts to predict errors for; by default those of :func:`contacts_of`.
     """
     goal = design.goal
     return information(
@@ -102,7 +103,7 @@ class Search:
     best : dict of TubeSpec to Candidate
         Best candidate of each tube.
     kept : list of Candidate
-        Pareto front in reach, force, resolution and place.
+        Pareto front in reach, force, resolution and position.
     failed : dict of TubeSpec to str
         Tubes that cannot be computed, and why.
     tubes : dict of TubeSpec to list of PressedTube
@@ -144,7 +145,7 @@ class Search:
         return spec in self.best or spec in self.failed
 
     def axes(self) -> dict[str, Array]:
-        """Return the values of bore, wall and hardness of the tubes that may be made."""
+        """Return the lattice of tubes: values of bore and wall in mm and of Shore A hardness."""
         free = self.design.variables
         ranges = {"bore": free.bore_mm, "wall": free.wall_mm, "shore": free.hardness_shore_a}
         found = {}
@@ -160,7 +161,7 @@ class Search:
         return room and self.design.bends(spec.bore, spec.wall)
 
     def _first(self) -> list[TubeSpec]:
-        """Return the first tubes: a third of all, spread evenly."""
+        """Return the first tubes: a third of the largest number, spread evenly."""
         values = list(self.axes().values())
         draws = qmc.Sobol(3, seed=self.seed).random_base2(max(8 * self.most - 1, 63).bit_length())
         places = [
@@ -175,7 +176,7 @@ class Search:
         return list(fitting)[: max(self.most // 3, 1)]
 
     def _around(self, centre: TubeSpec, step: int) -> Iterator[TubeSpec]:
-        """Yield the neighbours of a tube on the lattice."""
+        """Yield the tubes that differ by `step` on one axis of the lattice, and fit."""
         for name, values in self.axes().items():
             here = int(np.argmin(np.abs(values - getattr(centre, name))))
             for there in (here - step, here + step):
@@ -201,10 +202,11 @@ class Search:
 def candidates_of(
     design: DesignGoal, spec: TubeSpec, tubes: Sequence[PressedTube]
 ) -> list[Candidate]:
-    """Return the Pareto front of one tube's candidates, with the best of them refined.
+    """Return the Pareto front of the candidates with one tube, the best of them refined.
 
-    Electronics and, on a table, hardness are tried on a grid; carrier and cycles of the best are
-    then improved by a quasi-Newton method.
+    Electronics and, on a table, hardness are tried on a grid; carrier and cycles of the candidate
+    with the best score are then improved by a quasi-Newton method. The front is empty if no carrier
+    suits a sampling rate.
     """
     shores = [spec.shore]
     if design.goal.support == "table":
@@ -250,9 +252,10 @@ def _grid(design: DesignGoal, spec: TubeSpec, known: Information) -> list[Candid
 
 
 def refined(design: DesignGoal, known: Information, best: Candidate) -> Candidate:
-    """Return a candidate with carrier and cycles improved by L-BFGS-B; the same if it fails.
+    """Return a candidate with carrier and cycles improved by L-BFGS-B.
 
-    The number of cycles is rounded to half cycles.
+    The number of cycles is rounded to half cycles. `best` itself is returned if the result does not
+    suit the sampling rate or has no better score.
     """
     free, goal, r = design.variables, design.goal, best.rangefinder
     assert isinstance(r.drive, Burst | Chirp)
@@ -278,7 +281,7 @@ def refined(design: DesignGoal, known: Information, best: Candidate) -> Candidat
 
 
 def evaluated(design: DesignGoal, known: Information, candidate: Candidate) -> Candidate:
-    """Return a candidate with its predicted errors on given contacts."""
+    """Return a candidate with its errors and score as predicted from the information `known`."""
     goal = design.goal
     found = predict(known, electronics_of(candidate.rangefinder, candidate.ends, goal.average))
     value = score(found, goal.asked)
@@ -286,7 +289,7 @@ def evaluated(design: DesignGoal, known: Information, candidate: Candidate) -> C
 
 
 def front_of(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return the Pareto front of candidates in reach, force, resolution and place."""
+    """Return the Pareto front in reach, force, resolution and position, the longest reach first."""
     values = np.round(np.array([one.objectives for one in candidates]) * (-1, 1, 1, 1), 5)
     kept: list[int] = []
     # Sorted by the first objective: only earlier candidates can dominate a later one.

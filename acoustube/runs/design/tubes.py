@@ -26,7 +26,7 @@ from acoustube.runs.sweep.workers import Task
 from acoustube.waves.scattering import Complex
 
 REFERENCE_SHORE_A = 35.0
-"""Shore A hardness at which presses on a table are computed: forces scale with the modulus."""
+"""Shore A hardness of computed presses on a table, whose forces are scaled to other moduli."""
 SHALLOWEST, DEEPEST, DEPTHS = 0.1, 0.94, 14
 """Depths at which sound is computed: first and last in bore diameters, and their number."""
 ROWS = 16
@@ -34,9 +34,9 @@ ROWS = 16
 INTO_LAYER = 0.4
 """Additional depth on a soft layer, as a fraction of its thickness."""
 MARGIN = 0.85, 1.15
-"""Ends of the band relative to the lowest and the highest carrier."""
+"""Ends of the computed band: the lowest over the lowest carrier, the highest over the highest."""
 CHIRP_MARGIN = 0.61
-"""Half width of the band computed for a chirp, in bandwidths, a little over the inversion's."""
+"""Half width of the computed band of a chirp, in bandwidths; a little over the inversion's."""
 
 
 class TubeSpec(NamedTuple):
@@ -61,7 +61,10 @@ class TubeSpec(NamedTuple):
 
 
 class Sounded(NamedTuple):
-    """Arrays of a :class:`acoustube.inversion.design.PressedTube`, or the reason for their lack."""
+    """Arrays of a :class:`acoustube.inversion.design.PressedTube`, or why they are missing.
+
+    Units and shapes are those of that class. The arrays are empty if there is a `reason`.
+    """
 
     depth: Array
     force: Array
@@ -73,7 +76,7 @@ class Sounded(NamedTuple):
 
 
 def band_of(design: DesignGoal, extra: Sequence[float] = ()) -> tuple[float, float]:
-    """Return the band in Hz that covers all carriers of a design, and further ones in Hz."""
+    """Return the band in Hz that covers all carriers of a design, and `extra` carriers in Hz."""
     free = design.variables
     carriers = [*free.carrier, *extra]
     ends = [
@@ -87,10 +90,10 @@ def band_of(design: DesignGoal, extra: Sequence[float] = ()) -> tuple[float, flo
 
 
 def plan_of(design: DesignGoal, spec: TubeSpec, tool: float, band: tuple[float, float]) -> ToolPlan:
-    """Return the plan of a tube's presses by one tool of a diameter in mm.
+    """Return the plan of a tube's presses by a rod of a diameter in mm, with sound in a band in Hz.
 
-    Losses are included: without them the resonances of trapped modes are too sharp to interpolate
-    the reflection between the few depths, and its derivative by depth would be an artefact.
+    Losses are included. Without them the resonances of trapped modes are so sharp that the
+    reflection cannot be interpolated between the few depths.
     """
     goal, on_arm = design.goal, design.goal.support == "arm"
     ground: dict[str, Any] = {"support": "held"}
@@ -113,7 +116,7 @@ def plan_of(design: DesignGoal, spec: TubeSpec, tool: float, band: tuple[float, 
 
 
 def sounded(plan: ToolPlan) -> Done[Sounded]:
-    """Press a tube and compute its reflection at the depths of a plan, or read both from cache."""
+    """Press a tube and compute its scattering at the depths of a plan, or read both from cache."""
     (arrays, stopped), reused = press_rows(plan)
     settings = plan.settings
     reached = [d for d in plan.first if d <= arrays["depth"][-1] * (1 + 1e-9)]
@@ -159,7 +162,7 @@ def sounded(plan: ToolPlan) -> Done[Sounded]:
 def pressed_tubes(
     spec: TubeSpec, tools: Sequence[float], found: Sequence[Sounded]
 ) -> list[PressedTube]:
-    """Return a tube under each tool, of diameters in mm, from what workers computed."""
+    """Return a tube under each tool, of a diameter in mm, from the arrays in the same order."""
     return [
         PressedTube(
             radius=spec.bore / 2 / MM, diameter=tool / MM, depth=one.depth, force=one.force,
@@ -177,7 +180,7 @@ def tasks_of(
     board: Board,
     found: dict[TubeSpec, list[PressedTube] | str],
 ) -> list[Task]:
-    """Return the tasks that compute tubes and add them, or the reasons of failure, to `found`."""
+    """Return tasks that compute tubes, and add these or the reasons of failure to `found`."""
     tools = design.goal.tools_mm
     parts: dict[TubeSpec, dict[float, Sounded]] = {spec: {} for spec in specs}
 
@@ -214,7 +217,7 @@ def _joined(
 
 
 def tube_seconds(plan: ToolPlan) -> float:
-    """Return the expected time in s of a tube under one tool."""
+    """Return the expected computing time in s of a tube under one tool."""
     wide = (plan.band[1] - plan.band[0]) / 17e3
     return press_seconds(plan.settings, plan.pressed[-1]) + len(plan.first) * spectral_seconds(
         plan.settings

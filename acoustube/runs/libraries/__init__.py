@@ -1,1 +1,1 @@
-"""Libraries for the inversion: `plan` (tools and depths), `build` and `files`."""
+"""Libraries of scattering over depth for the inversion: `plan` (tools), `build` and `files`."""

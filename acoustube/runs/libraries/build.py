@@ -1,9 +1,10 @@
 """Computation of libraries: presses, then their scattering at depths refined by bisection.
 
-A press is solved at depths some tenths of a millimetre apart. The shapes between are interpolated,
-to an accuracy of micrometres. Scattering is computed for each shape, since it varies faster with
-depth where a lumen has trapped modes. The intervals of depth in which the error of cubic splines,
-estimated by leave-one-out cross-validation, is too large are bisected level by level.
+A press is solved at depths some tenths of a millimetre apart. Shapes at depths between these are
+interpolated, to an accuracy of micrometres. Scattering varies faster with depth than the shape
+where a lumen has trapped modes, and is therefore computed at more depths. Its interpolation by
+cubic splines over depth has an error that is estimated by leave-one-out cross-validation. Intervals
+of depth in which this error is too large are bisected level by level.
 """
 
 from __future__ import annotations
@@ -44,12 +45,12 @@ from acoustube.waves.scattering import Complex
 from acoustube.waves.spectral import SpectralScattering
 
 GOOD_SHARE = 0.75
-"""Fraction of the frequencies at which a matrix must have a small estimated error. Within half a
-kilohertz of a trapped mode the estimate, which leaves out losses, is far too large."""
+"""Fraction of the frequencies at which the estimated error of a matrix must be small. The estimate
+leaves out losses, and is therefore far too large within half a kilohertz of a trapped mode."""
 GAIN_OF_BISECTION = 6.0
 """Factor by which bisection reduces the error of cubic splines, 16 for the smoothest functions."""
 REACH = 8
-"""Number of depths on each side of one from which its scattering is interpolated for the error."""
+"""Number of depths on each side of a left-out depth from which its scattering is interpolated."""
 WIDEST_GAP = 1.6
 """Widest gap that failed depths may leave, relative to the largest step of the first depths."""
 FINEST = 1 / 32
@@ -76,9 +77,9 @@ def press_rows(plan: ToolPlan) -> Done[PressRows]:
 
 
 def scattering_at(plan: ToolPlan, depth: float, part: Lumen) -> Done[SpectralScattering | str]:
-    """Compute the scattering of a pressed part, or read it from the cache.
+    """Compute the scattering of a part pressed to a depth in m, or read it from the cache.
 
-    If the solver cannot compute it, the reason is returned instead.
+    If the solver cannot compute the scattering, the reason is returned instead.
     """
     name = plan.scattering_key(depth)
     known = scattering_file.recall(name)
@@ -101,7 +102,7 @@ class Refinement:
     Parameters
     ----------
     tolerance : float
-        Largest expected error of interpolation.
+        Largest expected error of interpolation, as :func:`deviation` measures it.
     first : sequence of float
         Depths in m to begin with.
     """
@@ -115,18 +116,18 @@ class Refinement:
         self.least = FINEST * min(np.diff(first))
 
     def add(self, depth: float, found: SpectralScattering) -> None:
-        """Add the scattering at a depth."""
+        """Add the scattering at a depth in m."""
         self.known[depth] = found
         self.waiting.discard(depth)
 
     def fail(self, depth: float, reason: str) -> None:
-        """Leave out a depth that cannot be computed."""
+        """Leave out a depth in m that cannot be computed."""
         self.failed[depth] = reason
         self.waiting.discard(depth)
 
     @property
     def depths(self) -> list[float]:
-        """Depths computed so far, rising, to the first gap too wide to interpolate over."""
+        """Rising depths in m computed so far, up to the first gap too wide to interpolate over."""
         depths = sorted(self.known)
         gaps = np.diff(depths)
         wide = np.flatnonzero(gaps > WIDEST_GAP * max(np.diff(self.first)))
@@ -134,12 +135,12 @@ class Refinement:
 
     @property
     def reason(self) -> str:
-        """Why the depths end before the last one asked for; empty if they do not."""
+        """Reason why the depths end before the last requested one; empty if they do not."""
         last = max(self.depths, default=0.0)
         return next((self.failed[d] for d in sorted(self.failed) if d > last), "")
 
     def next(self) -> list[float]:
-        """Return the depths of the next level, once all of this one are known; none at the end.
+        """Return the next level of depths in m, once all of this level are known; none at the end.
 
         These are the middles of all intervals at first, then of those in which the error of
         interpolation exceeds the tolerance.
@@ -158,11 +159,11 @@ class Refinement:
         return self.level
 
     def between(self) -> Array:
-        """Return the expected error of interpolation between each depth and the next.
+        """Return the expected error of interpolation between each depth and the next, (n - 1,).
 
-        By leave-one-out cross-validation. The error at a depth that is left out grows with the
-        product of the squared distances to its neighbours, that in the middle of an interval with
-        the fourth power of the interval's length.
+        By leave-one-out cross-validation; inf if there are too few depths for it. The error at a
+        depth that is left out grows with the product of the squared distances to its neighbours.
+        The error in the middle of an interval grows with the fourth power of the interval's length.
         """
         depths = np.array(self.depths)
         known = np.array([self.known[d].s[:, :, :1, :, :1] for d in self.depths])
@@ -181,10 +182,10 @@ class Refinement:
 
 
 def deviation(found: Complex, exact: Complex) -> float:
-    """Return the error of scattering matrices, (n_f, 2, m, 2, m), over the band.
+    """Return the error of a scattering matrix, (n_f, 2, m, 2, m), over the band.
 
-    It is the rms difference of the plane wave's reflection relative to the rms of the reflection,
-    or the rms difference of its transmission if that is larger.
+    It is the larger of two: the rms error of the plane wave's reflection coefficient relative to
+    the rms of this coefficient, and the rms error of its transmission coefficient.
     """
     plane = np.sqrt(np.mean(np.abs((found - exact)[:, :, 0, 0, 0]) ** 2, axis=0))
     return float(max(plane[0] / np.sqrt(np.mean(np.abs(exact[:, 0, 0, 0, 0]) ** 2)), plane[1]))
@@ -221,12 +222,14 @@ def build_library(
     Returns
     -------
     bool
-        Whether every tool is complete.
+        Whether no tool has failed.
 
     Raises
     ------
     ConfigError
         If the folder cannot be used.
+    SimulationError
+        If a file cannot be written, or the workers are gone.
     """
     started = time.perf_counter()
     folder = files.prepared(out)
@@ -277,7 +280,7 @@ def build_library(
 
 
 def _cost(plan: ToolPlan) -> tuple[float, float]:
-    """Return the expected times in s of a tool's press and of its scattering."""
+    """Return the expected times in s of a tool's press and of its scattering matrices."""
     matrix = spectral_seconds(plan.settings)
     return press_seconds(plan.settings, plan.pressed[-1]), USUAL_DEPTHS * len(plan.first) * matrix
 

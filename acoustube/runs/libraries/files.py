@@ -36,12 +36,12 @@ FAILURE = "is not a file of this version's acoustube library"
 
 
 def prepared(out: str | Path) -> Path:
-    """Return the folder of a library, new or to be resumed.
+    """Return the absolute path of a library's folder, created unless it is to be resumed.
 
     Raises
     ------
     ConfigError
-        If it holds something else, or cannot be written.
+        If the folder holds something else, or cannot be written.
     """
     folder = Path(out).expanduser().resolve()
     names = [path.name for path in folder.iterdir()] if folder.is_dir() else []
@@ -53,7 +53,7 @@ def prepared(out: str | Path) -> Path:
 
 
 def write_tool(path: Path, tool: Tool, plan: ToolPlan) -> None:
-    """Write the file of a tool atomically, compressed and sealed."""
+    """Write the file of a tool atomically, compressed and with its checksum."""
     data = to_dataset(tool, plan)
     large = [name for name, v in data.variables.items() if v.size > 1000]
     packed = {"zlib": True, "complevel": 1, "shuffle": True}
@@ -61,7 +61,7 @@ def write_tool(path: Path, tool: Tool, plan: ToolPlan) -> None:
 
 
 def to_dataset(tool: Tool, plan: ToolPlan) -> xr.Dataset:
-    """Return a tool with its coordinates and its origin as a dataset."""
+    """Return a tool as a dataset, with version, tube and settings as attributes."""
     import xarray as xr  # which reading does without
 
     dims = "depth frequency port_out mode_out port_in mode_in"
@@ -108,7 +108,7 @@ def from_file(data: h5netcdf.File) -> Tool:
     Raises
     ------
     KeyError, ValueError, TypeError
-        If it is another file.
+        If the file is of another kind, or holds values that are not finite.
     """
     s = np.empty(data["s_real"].shape, np.complex64)
     s.real, s.imag = data["s_real"][...], data["s_imag"][...]
@@ -131,7 +131,10 @@ def from_file(data: h5netcdf.File) -> Tool:
 
 
 def _wall(configuration: str | None) -> dict[str, Any]:
-    """Return the wall's modulus in Pa and Poisson's ratio if forces scale with the modulus."""
+    """Return the wall's modulus in Pa and Poisson's ratio by name, given settings as JSON.
+
+    The result is empty if forces do not scale with the modulus, as on an elastic layer.
+    """
     if configuration is None:
         return {}
     config = configured(json.loads(configuration))
@@ -158,7 +161,7 @@ def open_library(path: str | Path) -> Library:
     Raises
     ------
     ConfigError
-        If there is none, a file is damaged, or the tools do not go together.
+        If there is no library, a file is damaged, or the tools do not go together.
     """
     import h5netcdf  # not xarray, which takes 75 MB more with pandas
 

@@ -38,17 +38,17 @@ class ToolPlan:
     Attributes
     ----------
     config : Config
-        Settings of its first depth.
+        Settings of the press to the first depth.
     settings : SISettings
-        The same in SI units.
+        These settings in SI units.
     pressed : tuple of float
         Depths of the press in m, from near first contact.
     first : tuple of float
         Depths in m at which scattering is computed first.
     tolerance : float
-        Error of interpolated scattering above which the depths are refined.
+        Relative error of interpolated scattering above which the depths are refined.
     edges : tuple of float or None
-        Lowest and highest frequency in Hz; by default those about the carrier of the settings.
+        Lowest and highest frequency in Hz; None for :data:`BAND` times the carrier.
     """
 
     config: Config
@@ -68,7 +68,7 @@ class ToolPlan:
 
     @property
     def words(self) -> str:
-        """Description of the tool and the tube."""
+        """Description of tool, largest depth and tube."""
         settings = replace(self.settings, depth=self.first[-1])
         return f"{press_runs.press_in_words(settings)}; {press_runs.wall_in_words(settings)}"
 
@@ -89,7 +89,7 @@ class ToolPlan:
 
     @property
     def name(self) -> str:
-        """Name of the tool's file: a hash of all that it depends on, except the solvers' code."""
+        """Name of the tool's file: a hash of all that determines it, except the solvers' code."""
         settings, sound_of = self.settings, self.config.waves
         content = {
             "tube": {n: v for n, v in asdict(settings.tube).items() if n != "length"},
@@ -116,6 +116,7 @@ def tool_plans(
         Settings with their values or ranges, as :func:`acoustube.runs.sweep.plan.load_plan` takes
         them; each combination of values other than depths is a tool.
     tolerance : float
+        See :class:`ToolPlan`.
     path : str or Path, optional
         TOML file with further settings.
     band : tuple of float, optional
@@ -124,7 +125,7 @@ def tool_plans(
     Raises
     ------
     ConfigError
-        If a setting is wrong, or a tool has too few depths.
+        If a setting is wrong, the wall is imported, or a tool has too few depths.
     """
     plan = load_plan(path, {**over, "method": ["spectral"]})
     return [_tool(load_path, tolerance, band) for load_path in load_paths(cases_of(plan))]
@@ -150,7 +151,7 @@ def _tool(path: LoadPath, tolerance: float, band: tuple[float, float] | None) ->
 
 
 def _divided(depths: Array, widest: float) -> Array:
-    """Return rising depths with others evenly between those that are far apart, rounded."""
+    """Return rising depths in m, with more of them where the step exceeds `widest`, rounded."""
     parts = [
         np.linspace(a, b, ceil((b - a) / widest - 1e-6) + 1)[:-1]
         for a, b in itertools.pairwise(depths)

@@ -30,9 +30,9 @@ class CaseResults(NamedTuple):
     Attributes
     ----------
     dataset : xarray.Dataset or None
-        Results of the cases that succeeded, along ``press``.
+        Results of the cases that succeeded, along ``press``; None if none did.
     failed : dict of str
-        Reasons why the others failed, by name.
+        Reasons why the other cases failed, by name of the case.
     """
 
     dataset: xr.Dataset | None
@@ -51,7 +51,8 @@ def simulate_cases(
     pressed : Pressed
         Press that all cases share.
     matrix : Scattering or None
-        Scattering matrix of that press; None to compute whole tubes in the time domain.
+        Scattering matrix of that press. None if the tube is untouched, or to compute whole tubes in
+        the time domain.
     """
     rows, failed = {}, {}
     with one_thread():
@@ -65,7 +66,10 @@ def simulate_cases(
 
 
 def placed(settings: SISettings, matrix: StoredScattering | None) -> list[PlacedScatterer]:
-    """Return a list with the press of a case at its position, in its air; empty if untouched."""
+    """Return a list with the scattering of a case at its position, in its air.
+
+    The list is empty if `matrix` is None: the tube is untouched.
+    """
     if matrix is None:
         return []
     return [PlacedScatterer(at_sound_speed(matrix, settings.air.sound_speed), settings.position)]
@@ -77,7 +81,7 @@ Row = tuple[dict[SourceEnd, Recording], dict[SourceEnd, Ranging]]
 def _record_and_locate(
     settings: SISettings, pressed: Pressed, matrix: StoredScattering | None
 ) -> Row:
-    """Return the recordings and rangings of a case."""
+    """Return the recordings of a case and the results of their processing, by source end."""
     if matrix is None and pressed.part is not None:
         whole = whole_tube(pressed.part, settings.position, settings.tube.length)
         recordings, _ = sound.tube_recordings(settings, whole)
@@ -88,7 +92,7 @@ def _record_and_locate(
 
 
 def _gathered(cases: Mapping[str, Config], pressed: Pressed, rows: Mapping[str, Row]) -> xr.Dataset:
-    """Return cases of one press as a dataset."""
+    """Return the results of cases with the same press as a dataset along ``press``."""
     variables = _labels(list(cases.values())) | _measured(pressed, len(cases))
     pressures = [_resampled(recordings) for recordings, _ in rows.values()]
     longest = max(pressure.shape[1] for pressure in pressures)
@@ -120,7 +124,7 @@ def _gathered(cases: Mapping[str, Config], pressed: Pressed, rows: Mapping[str, 
 
 
 def _resampled(recordings: Mapping[SourceEnd, Recording]) -> Any:
-    """Return the pressure for each source end on the common time axis, (n_ends, n)."""
+    """Return the pressure at the probe in steps of `sound.TIME_STEP`, (n_ends, n)."""
     first = recordings[sound.SOURCE_ENDS[0]]
     pressure = np.stack([recordings[end].pressure[0] for end in sound.SOURCE_ENDS])
     if first.time_step == sound.TIME_STEP:
@@ -160,7 +164,7 @@ def _labels(configs: Sequence[Config]) -> dict[str, Any]:
 
 
 def _measured(pressed: Pressed, n: int) -> dict[str, Any]:
-    """Return force and lumen of a press, for each of n cases."""
+    """Return force and lumen of a press as variables, repeated for n cases."""
     table = {
         "force": (pressed.force, "N", "force of the indenter on the whole tube"),
         "lumen_height": (pressed.height, "m", "height of the lumen at the press"),

@@ -13,24 +13,30 @@ from acoustube.waves.modes import modes_below
 
 # Measured on two quiet cores; used for estimates only.
 SCATTERING_SECONDS, RECORDING_SECONDS, GIGABYTES = 4e-9, 0.2, 1.0
-"""Time in s per cell and step of scattering, and per metre of tube of a case; GB per worker."""
+"""Costs of a sweep.
+
+Time in s of a scattering matrix by FDTD, per cell and time step. Time in s of the recording of a
+case, per metre of tube. Memory of a worker in GB.
+"""
 CASE_BYTES, MATRIX_BYTES = 6.0, 370e3
-"""Bytes per sample of a case, of both source ends; and of a scattering matrix with its walls."""
+"""Bytes of a case per sample, both source ends together; bytes of a matrix and its walls."""
 RINGING = 12e-3
-"""Simulated time in s of the computation of a scattering matrix."""
+"""Simulated time in s of each run for a scattering matrix."""
 COURANT_NUMBER = 0.45
-"""Time step of the scheme, in cell sizes over the speed of sound."""
+"""Time step of FDTD times the speed of sound, over the cell size."""
 SOUND_SPEED = 343.0
+"""Speed of sound in m/s, for estimates."""
 SAMPLING_RATE = 1e6
+"""Samples per second of a case's recording."""
 
 
 def path_cost(path: LoadPath) -> float:
-    """Return the expected computing time in s of a load path."""
+    """Return the expected computing time in s of the presses of a load path."""
     return press_seconds(path.settings, path.depths[-1]) if path.presses else 0.0
 
 
 def matrix_cost(group: Group) -> float:
-    """Return the expected computing time in s of a scattering matrix."""
+    """Return the expected computing time in s of a group's scattering matrix; 0 without one."""
     if group.band is None:
         return 0.0
     settings = group.settings
@@ -53,7 +59,7 @@ def _lengths(cases: Sequence[Case]) -> float:
 
 
 def cached(paths: Sequence[LoadPath]) -> tuple[int, int, float]:
-    """Return the numbers of cached load paths and matrices, and the cost in s of the others."""
+    """Return the numbers of cached load paths and matrices, and the time in s of all the rest."""
     n_paths = n_matrices = 0
     cost = 0.0
     for path in paths:

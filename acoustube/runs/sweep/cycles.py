@@ -29,12 +29,13 @@ from acoustube.runs.sweep.case_results import placed
 from acoustube.runs.sweep.plan import digest, tube_name
 
 PLAIN = ("offset",)
+"""Parameters whose variation is that of the value; for the others it is that of the logarithm."""
 SPREAD = ("resonance", "quality_factor", "gain", "send", "noise", *PLAIN)
-"""Parameters of the rangefinder that may differ from session to session."""
+"""Parameters of the rangefinder that may vary from session to session."""
 LONGEST_SESSION = 72_000
-"""Number of cycles in an hour, over which the cases of a session are distributed."""
+"""Number of cycles of a session of an hour, over which its cases are distributed."""
 SIGNAL_CHUNK = 64
-"""Cycles per chunk of the file."""
+"""Number of cycles in a chunk of the file."""
 CARRIED = {
     "true_distance": "m", "depth": "m", "force": "N", "diameter": "m", "shape": "1",
     "lumen_area": "m2", "lumen_height": "m", "inner_diameter": "m", "wall_thickness": "m",
@@ -56,17 +57,19 @@ class Recipe:
     n_sessions : int
         Number of sessions of each specimen, each with its own drift and error of the temperature.
     seed : int
+        Random seed.
     rangefinder : Rangefinder or None
-        None for the default one at the case's carrier frequency.
+        None for the default rangefinder at the carrier frequency of the case.
     offset_deviation : float or None
-        Standard deviation in K, over the sessions, of the temperature's error about the
-        rangefinder's bias; with None the error is uniform between minus and plus the bias.
+        Standard deviation in K, over the sessions, of the thermometer's error about the
+        ``temperature_bias`` of the rangefinder. With None the error is uniform between minus and
+        plus this bias.
     reflectors : tuple of float
-        Irregularities of the first specimen, as of :func:`acoustube.ranging.clutter`; random if
-        empty.
+        Reflection coefficients of the irregularities of the first specimen, as the argument of
+        :func:`acoustube.ranging.clutter`; random if empty.
     spread : tuple of (str, float)
-        Standard deviations of parameters of the rangefinder over the sessions, by their names: of
-        the value for those in :data:`PLAIN`, of the logarithm for the others.
+        Parameters of the rangefinder, and their standard deviations over the sessions: of the value
+        for those in :data:`PLAIN`, of the logarithm for the others.
     clutter_spread : float
         Power in 1/m of the changes of the given irregularities from session to session.
     young_modulus : float or None
@@ -107,7 +110,7 @@ class Recipe:
 
     @property
     def name(self) -> str:
-        """Hash of all settings."""
+        """Hash of all settings and of the version of acoustube."""
         own = None if self.rangefinder is None else self.rangefinder.to_json()
         words: list[Any] = [
             self.n_cycles,
@@ -124,7 +127,7 @@ class Recipe:
         return digest(words)
 
     def rangefinder_for(self, settings: SISettings) -> Rangefinder:
-        """Return the rangefinder that a case is recorded with."""
+        """Return the rangefinder that records a case with these settings."""
         carrier = settings.pulse.frequency
         usual = Rangefinder(drive=Burst(frequency=carrier), resonance=carrier)
         return self.rangefinder or usual
@@ -136,12 +139,12 @@ def seed_of(*what: Any) -> int:
 
 
 def record_cases(cases: Sequence[tuple[str, Path]], out: Path, recipe: Recipe) -> int:
-    """Record cycles of some cases, and write them to one file.
+    """Simulate labelled cycles of some cases, and write them to one file.
 
     Parameters
     ----------
     cases : sequence of (str, Path)
-        Names of the cases, and the sweep's files that contain them.
+        Name of each case, and the file of the sweep that contains the case.
     out : Path
         File to write.
     recipe : Recipe
@@ -150,6 +153,13 @@ def record_cases(cases: Sequence[tuple[str, Path]], out: Path, recipe: Recipe) -
     -------
     int
         Number of cycles.
+
+    Raises
+    ------
+    ValueError
+        As :func:`record_one`.
+    SimulationError
+        If the file cannot be written.
     """
     parts = [part for name, path in cases for part in _recorded(name, path, recipe)]
     data = xr.concat(parts, dim="cycle", data_vars="minimal", coords="minimal", compat="override",
@@ -163,25 +173,26 @@ def record_cases(cases: Sequence[tuple[str, Path]], out: Path, recipe: Recipe) -
 
 
 def record_one(name: str, path: Path, recipe: Recipe) -> xr.Dataset:
-    """Return one cycle of a case, as :func:`record_cases` would record it.
+    """Return one cycle of a case, as :func:`record_cases` would simulate it.
 
     Raises
     ------
     ValueError
-        If the rangefinder's band exceeds that of the press's scattering matrix.
+        If the rangefinder's band exceeds that of the press's scattering matrix, or `young_modulus`
+        is given for a tube on an elastic layer.
     """
     return next(_recorded(name, path, dataclasses.replace(recipe, n_cycles=1)))
 
 
 @lru_cache(maxsize=64)
 def _opened(path: Path) -> tuple[xr.Dataset, StoredScattering | None]:
-    """Return cases and scattering of a sweep's file; cached, as cases are requested one by one."""
+    """Return cases and scattering of a sweep's file; in memory, as cases are taken one by one."""
     data, matrix = store.read(path)
     return data.drop_vars("pressure"), None if matrix is None else from_dataset(matrix)
 
 
 def _recorded(name: str, path: Path, recipe: Recipe) -> Iterator[xr.Dataset]:
-    """Yield the cycles of a case for each specimen and session."""
+    """Yield the labelled cycles of a case for each specimen and session."""
     data, scattering = _opened(path)
     case = data.sel(press=name)
     config = configured(json.loads(str(case["configuration"].values)))
@@ -212,7 +223,7 @@ def _recorded(name: str, path: Path, recipe: Recipe) -> Iterator[xr.Dataset]:
 
 
 def _reflectors(recipe: Recipe, seed: int) -> Array:
-    """Return the irregularities of the measured specimen in a session."""
+    """Return the reflection coefficients of the first specimen's irregularities in a session."""
     mean = np.array(recipe.reflectors)
     if recipe.clutter_spread == 0:
         return mean
@@ -222,7 +233,7 @@ def _reflectors(recipe: Recipe, seed: int) -> Array:
 
 
 def in_session(rangefinder: Rangefinder, seed: int, recipe: Recipe) -> Rangefinder:
-    """Return a rangefinder with parameters and thermometer error drawn for a session."""
+    """Return a rangefinder with the parameters and the thermometer's error of a random session."""
     random, drawn = np.random.default_rng([seed, 2]), {}
     for name, deviation in recipe.spread:
         value, off = getattr(rangefinder, name), deviation * random.normal()
@@ -237,7 +248,7 @@ def in_session(rangefinder: Rangefinder, seed: int, recipe: Recipe) -> Rangefind
 
 
 def _with_modulus(cycles: xr.Dataset, settings: SISettings, modulus: float | None) -> xr.Dataset:
-    """Return cycles with the forces of a wall of another Young's modulus."""
+    """Return cycles with force and shear modulus of a wall of a Young's modulus in Pa."""
     if modulus is None:
         return cycles
     if settings.layer is not None:
@@ -256,7 +267,10 @@ def _with_modulus(cycles: xr.Dataset, settings: SISettings, modulus: float | Non
 def _labelled(
     cycles: xr.Dataset, case: xr.Dataset, settings: SISettings, names: dict[str, str]
 ) -> xr.Dataset:
-    """Return cycles with the labels of their case, and the names of case, tube and session."""
+    """Return cycles with the labels of their case, and the names of case, tube and session.
+
+    Without a press, true_distance and diameter are nan.
+    """
     n = cycles.sizes["cycle"]
     labels = {
         label: variable("cycle", np.full(n, case[label].values), units, str(text))

@@ -34,13 +34,14 @@ from acoustube.runs.sweep.run import run_with_progress
 from acoustube.runs.sweep.workers import WORKERS, Task, Workers, count_of
 
 RECIPE, CARD = "dataset.json", "README.md"
+"""Names of the files with the recipe and with the card."""
 DRIVES: dict[str, type[Any]] = {"Burst": Burst, "Chirp": Chirp, "Tones": Tones}
 """Types of drive by their names in files."""
 CYCLES_PER_FILE = 5000
 SECONDS_PER_CASE, SECONDS_PER_CYCLE, BYTES_PER_CYCLE = 0.08, 1e-3, 2500.0
-"""Costs measured on one idle core, for the estimates."""
+"""Time in s and bytes of simulated cases and cycles, measured on one idle core, for estimates."""
 SECONDS_TO_START = 3.0
-"""Time in which a worker process starts and imports the package."""
+"""Time in s in which a worker process starts and imports the package."""
 RANGES = {
     "true_distance": ("place", 1e2, "cm"), "depth": ("depth", 1e3, "mm"),
     "force": ("force", 1.0, "N"), "diameter": ("indenter", 1e3, "mm"),
@@ -100,7 +101,7 @@ def run_dataset(
     workers: int | Workers | None = None,
     executor: Executor | None = None,
 ) -> Path:
-    """Record cycles of all cases of a sweep, with their labels, and describe them on a card.
+    """Simulate labelled cycles of all cases of a sweep, and write them with a dataset card.
 
     Parameters
     ----------
@@ -124,7 +125,8 @@ def run_dataset(
     Raises
     ------
     ConfigError
-        If a folder is not that of a sweep, or `out` contains anything but this dataset.
+        If a folder is not that of a sweep or is damaged, the rangefinder does not suit the sweep,
+        or `out` contains anything but this dataset.
     SimulationError
         If a case cannot be recorded.
     """
@@ -156,9 +158,9 @@ def run_dataset(
 
 
 def _parts(sweep: Sequence[Path], recipe: Recipe) -> dict[str, list[tuple[str, Path]]]:
-    """Return the cases of each file of the dataset, with the sweep's file that holds each.
+    """Return the cases of each file of the dataset: their names and the sweep's files.
 
-    The order is that of :func:`acoustube.open_dataset`, whatever files a sweep has.
+    The order of the cases is that of :func:`acoustube.open_dataset`, whatever files a sweep has.
     """
     found: dict[str, Path] = {}
     for folder in sweep:
@@ -188,7 +190,7 @@ def _parts(sweep: Sequence[Path], recipe: Recipe) -> dict[str, list[tuple[str, P
 
 
 def _prepared(out: Path, names: set[str], recipe: Recipe) -> Path:
-    """Return the folder of the dataset, which holds nothing else."""
+    """Return the folder of the dataset, with its recipe; raise if it holds anything else."""
     folder = out.expanduser().resolve()
     if (folder / RECIPE).is_file():
         others = sorted(path.name for path in folder.glob("cycles-*.nc") if path.name not in names)
@@ -216,7 +218,7 @@ def _record(
     report: Reporter,
     executor: Executor | None,
 ) -> None:
-    """Write the files that are missing."""
+    """Compute and write the missing files, given the cases of each."""
     costs = {
         name: len(cases) * (SECONDS_PER_CASE + recipe.per_case * SECONDS_PER_CYCLE)
         for name, cases in todo.items()
@@ -254,7 +256,7 @@ def _task(
 
 
 def _check_band(parts: Mapping[str, Sequence[tuple[str, Path]]], recipe: Recipe) -> None:
-    """Reject a rangefinder whose band exceeds that of a press's scattering matrix."""
+    """Raise if the rangefinder's band exceeds that of a press's scattering matrix."""
     first = {path: name for cases in parts.values() for name, path in cases}
     alike = {store.sound_of(path): (path, name) for path, name in first.items()}
     for path, name in alike.values():
@@ -268,7 +270,15 @@ def _check_band(parts: Mapping[str, Sequence[tuple[str, Path]]], recipe: Recipe)
 
 
 def rangefinder_in(document: Mapping[str, Any], path: Path) -> Rangefinder:
-    """Return the rangefinder that a document describes, which was read from a file.
+    """Return the rangefinder that the content of a sensor's file describes.
+
+    Parameters
+    ----------
+    document : mapping
+        Content of the file; other entries of :data:`acoustube.runs.sensor_file.OF_OTHERS` are
+        ignored.
+    path : Path
+        The file, for messages.
 
     Raises
     ------
@@ -301,7 +311,7 @@ def rangefinder_in(document: Mapping[str, Any], path: Path) -> Rangefinder:
 
 
 def card(data: xr.Dataset, recipe: Recipe) -> str:
-    """Return the dataset card in Markdown: content, origin and ranges.
+    """Return the dataset card in Markdown: content, origin and ranges of labels.
 
     Parameters
     ----------

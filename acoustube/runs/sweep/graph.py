@@ -23,11 +23,11 @@ from acoustube.runs.sweep.tasks import Band
 REFERENCE_TEMPERATURES = (-15.0, 20.0, 50.0)
 """Air temperatures in degC of the matrices: every allowed temperature is within 18 K of one."""
 BAND_STEP = 1e3
-"""Step in Hz to which band edges are rounded outwards, so that similar pulses share a band."""
+"""Multiple in Hz to which band edges are rounded outwards, so that similar pulses share a band."""
 BURST_CYCLES = 11
-"""Carrier cycles of a pulse whose band covers that of the default rangefinder."""
+"""Cycles of a pulse with the default rangefinder's band, which longer pulses are given too."""
 CASE_SETTINGS = {"tube": ("length_cm",), "indentation": ("depth_mm", "position_cm", "steps")}
-"""Settings that a load path does not depend on."""
+"""Settings by section on which a load path does not depend."""
 
 SCATTERING_SETTINGS = ("resolution", "losses", "method", "humidity_percent", "pressure_kpa")
 """Settings of the sound on which a press's scattering depends."""
@@ -39,8 +39,9 @@ class Case(NamedTuple):
     Attributes
     ----------
     name : str
-        Hash of its settings.
+        Hash of the settings.
     config : Config
+        Settings of the case.
     """
 
     name: str
@@ -61,7 +62,8 @@ class Group:
     depth : float
         Indentation depth in m; 0 for an untouched tube.
     band : Band or None
-        Band and air of their scattering matrix; None without one (whole tubes, or no press).
+        Band and air of the cases' scattering matrix; None without a matrix (whole tubes, or no
+        press).
     cases : tuple of Case
     """
 
@@ -77,13 +79,14 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class LoadPath:
-    """A tube, an indenter, and the depths that it is pressed to.
+    """A tube, an indenter, and the depths to which the tube is pressed.
 
     Attributes
     ----------
     depths : tuple of float
-        Rising depths in m, without 0, the untouched tube.
+        Rising depths in m, without 0 of an untouched tube.
     groups : tuple of Group
+        Cases of each depth and grid.
     """
 
     depths: tuple[float, ...]
@@ -101,12 +104,12 @@ class LoadPath:
 
 
 def load_paths(cases: Iterable[Case]) -> list[LoadPath]:
-    """Group cases by load path, and within it by scattering, in the cases' order.
+    """Group cases by load path, and within a path by scattering, in the order of the cases.
 
     Parameters
     ----------
     cases : iterable of Case
-        All of a plan: the increments of a load path depend on all its depths.
+        All cases of a plan, since the increments of a load path depend on all its depths.
     """
     paths: dict[str, dict[str, list[Case]]] = {}
     for case in cases:
@@ -130,15 +133,16 @@ def only_cases(paths: Sequence[LoadPath], names: set[str]) -> list[LoadPath]:
 
 
 def shard(paths: Sequence[LoadPath], number: int, count: int) -> set[str]:
-    """Return the names of the cases of one of several parts, nearly equal in size, of a sweep.
+    """Return the names of the cases in part `number`, from 1, of `count` parts of a sweep.
 
-    Each part consists of consecutive whole groups, so that few load paths are in two parts.
+    Parts are nearly equal in size. Each consists of consecutive whole groups, so that few load
+    paths are in two parts.
     """
     groups = [group for path in paths for group in path.groups]
     sizes = [len(group.cases) for group in groups]
     total, before, found = sum(sizes), 0, set()
     for group, size in zip(groups, sizes, strict=True):
-        # By the middle of a group, so that each belongs to just one share.
+        # The middle of a group decides, so that each group belongs to just one part.
         if floor((before + size / 2) * count / total) == number - 1:
             found |= {case.name for case in group.cases}
         before += size

@@ -42,8 +42,8 @@ from acoustube.runs.sweep.plan_text import (
 DEFAULTS: Given = {
     "waves": {"method": "scattering", "losses": "on", "resolution": 16},
 }
-"""Defaults of a sweep that differ from those of a single run: each press is computed once, with
-losses, on a grid that gives reflections to 0.005."""
+"""Defaults of a sweep that differ from those of a single run: scattering matrices with losses, on a
+grid that gives reflection coefficients to 0.005."""
 
 SAMPLERS = ("sobol", "latin")
 COUNT = Number(1, MOST_CASES, "", "cases of a random plan", whole=True)
@@ -62,14 +62,22 @@ class Plan:
     given : dict
         Settings that all cases have, by section.
     over : dict of str
-        The settings that vary, each with its values, or of a random plan its `Interval`; the last
-        varies fastest.
+        The settings that vary, each with its values, or in a random plan with its `Interval`. In a
+        grid the last setting varies fastest.
     cases : tuple of dict
-        In place of `over`: the settings of each case.
+        The settings of each case that vary, in place of `over`.
     count : int
-        Cases of a random plan; 0 for a grid.
+        Number of cases of a random plan; 0 for a grid.
     sampler : {"sobol", "latin"}
+        Method by which a random plan fills the ranges: Sobol points or a Latin hypercube.
     seed : int
+        Seed of a random plan.
+
+    Raises
+    ------
+    ConfigError
+        If a setting is not known, values are missing or repeated, there are too many cases, or both
+        `over` and `cases` are given.
     """
 
     given: Given = field(default_factory=dict)
@@ -100,7 +108,7 @@ class Plan:
         return self.count or math.prod(len(values) for values in self._axes.values())
 
     def distinct(self, names: Sequence[str]) -> int:
-        """Return the number of distinct combinations of values of some settings."""
+        """Return the number of distinct combinations of the values that some settings have."""
         import numpy as np
 
         if not (self.cases or self.count):
@@ -114,7 +122,7 @@ class Plan:
         return {n: v for n, v in self.over.items() if not isinstance(v, Interval)}
 
     def columns(self) -> dict[str, Any]:
-        """Return the values of each varied setting, one for each case."""
+        """Return the values of each varied setting, (n_cases,); None in cases without it."""
         import numpy as np
 
         if self.cases:
@@ -132,7 +140,7 @@ class Plan:
         }
 
     def configs(self, numbers: Sequence[int] | None = None) -> Iterator[Config]:
-        """Yield the settings of each case, or of the cases with given numbers.
+        """Yield the settings of each case, or of the cases with given numbers, from 0.
 
         Raises
         ------
@@ -170,7 +178,7 @@ def _check_axis(name: str, values: Values | Interval, *, random: bool) -> None:
 
 
 def _sampled(plan: Plan) -> dict[str, Any]:
-    """Draw the values of a random plan; each value of a list is drawn equally often."""
+    """Return random values of each setting of a plan; values of a list are equally frequent."""
     import warnings
 
     import numpy as np
@@ -199,7 +207,7 @@ def load_plan(
     over: Mapping[str, Sequence[str]] | None = None,
     **given: Any,
 ) -> Plan:
-    """Build a plan from the defaults, a file and the command line, the later overriding.
+    """Build a plan from the defaults, overridden by a file and then by the command line.
 
     Parameters
     ----------
@@ -208,8 +216,8 @@ def load_plan(
         ``[sweep.over]`` with settings that vary, or a list of ``[[sweep.case]]``; ``[sweep]`` may
         have ``count``, ``sampler`` and ``seed``.
     over : mapping of str to sequence of str, optional
-        Settings that vary, as :func:`parsed` reads them; they override the file. One value alone
-        is shared by all cases.
+        Settings that vary, with texts for :func:`acoustube.runs.sweep.plan_text.parsed`; they
+        override the file. A setting with one value is shared by all cases.
     **given
         ``count``, ``sampler``, ``seed``; None means not given.
 
@@ -258,7 +266,7 @@ def load_plan(
 
 
 def _checked_section(path: Any, sweep: Any) -> dict[str, Any]:
-    """Validate the section [sweep] of a file, and return it."""
+    """Return the section [sweep] of a file; raise if the section is wrong."""
     known = ("over", "case", *RANDOM)
     if not isinstance(sweep, dict):
         raise ConfigError(f"{path}: sweep must be a section, written [sweep] or [sweep.over]")
@@ -304,16 +312,16 @@ def to_toml(plan: Plan) -> str:
 
 
 def case_name(config: Config) -> str:
-    """Return the name of a case: the hash of its settings."""
+    """Return the name of a case: the first 16 digits of the hash of its settings."""
     return digest(dataclasses.asdict(config))[:16]
 
 
 def tube_name(config: Config) -> str:
-    """Return the name of a tube: the start of the hash of its settings."""
+    """Return the name of a tube: the first 8 digits of the hash of its settings."""
     return digest(dataclasses.asdict(config.tube))[:8]
 
 
 def digest(content: Any) -> str:
-    """Return the SHA-256 of data as JSON with sorted names."""
+    """Return the SHA-256, in hexadecimal, of data as JSON with sorted names."""
     text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""Values of a plan as text: on the command line, and in the axes of a TOML file."""
+"""Values of a plan's settings as text, on the command line and in a TOML file."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from acoustube.base.files import toml_array
 from acoustube.runs.config import section_of
 
 MOST_CASES = 10_000_000
-"""Largest number of cases of a plan, and of values of a range."""
+"""Largest number of cases of a plan, and largest number of values of a range."""
 
 Values = tuple[Any, ...]
 
 
 @dataclass(frozen=True)
 class Interval:
-    """Range of a setting from which a random plan draws."""
+    """Range of a setting, in the unit of its name, from which a random plan draws values."""
 
     low: float
     high: float
@@ -38,7 +38,13 @@ def parsed(name: str, words: Sequence[str]) -> Values | Interval:
     name : str
         Name of the setting.
     words : sequence of str
-        Numbers, words, ranges ``first:last:step`` with both ends, or one range ``low:high``.
+        Numbers, words and ranges ``first:last:step`` that include both ends; or one range
+        ``low:high`` alone.
+
+    Returns
+    -------
+    tuple or Interval
+        The values; an Interval for ``low:high``.
 
     Raises
     ------
@@ -58,12 +64,12 @@ def parsed(name: str, words: Sequence[str]) -> Values | Interval:
 
 
 def other_settings(words: Sequence[str], taken: Collection[str] = ()) -> dict[str, list[str]]:
-    """Parse settings written as name=value,value.
+    """Parse settings written as name=value,value; return the texts of the values by name.
 
     Raises
     ------
     ConfigError
-        If one is not written so, is not a setting, or is given twice or in `taken`.
+        If a word is not written so, or a name is no setting, given twice or in `taken`.
     """
     found: dict[str, list[str]] = {}
     for word in words:
@@ -80,7 +86,7 @@ def other_settings(words: Sequence[str], taken: Collection[str] = ()) -> dict[st
 
 
 def _range(name: str, word: str) -> list[float]:
-    """Return the values of first:last:step, computed exactly from the digits that are written."""
+    """Return the values of a range first:last:step, computed exactly from its decimal digits."""
     parts = word.split(":")
     if len(parts) != 3:
         raise ConfigError(f"{name} = {word} is not a range; write first:last:step")
@@ -89,14 +95,14 @@ def _range(name: str, word: str) -> list[float]:
         raise ConfigError(f"{name} = {word} has no values; use first <= last and a step over 0")
     if (last - first) / step > MOST_CASES:
         raise ConfigError(f"{name} = {word} has over {MOST_CASES:.0e} values; use a larger step")
-    # Whole numbers over a common denominator: as exact as fractions, and twenty times as fast.
+    # Integers over a common denominator are as exact as fractions, and twenty times as fast.
     whole = lcm(first.denominator, step.denominator)
     start, stride = int(first * whole), int(step * whole)
     return [(start + i * stride) / whole for i in range(int((last - first) / step) + 1)]
 
 
 def _number(name: str, word: str, part: str) -> Fraction:
-    """Return a number exactly, within the range of a float."""
+    """Return a number exactly; raise if it exceeds the range of a float."""
     try:
         if re.search(r"e[+-]?[\d_]{4}", part, re.IGNORECASE):  # may fill the memory
             raise OverflowError
@@ -110,7 +116,7 @@ def _number(name: str, word: str, part: str) -> Fraction:
 
 
 def _literal(word: str) -> Any:
-    """Return a word as a number if it is one."""
+    """Return a word as a number if it states one, else the word."""
     try:
         return int(word)
     except ValueError:
@@ -122,7 +128,13 @@ def _literal(word: str) -> Any:
 
 
 def axis_of(path: Any, name: str, values: Any) -> Values | Interval:
-    """Return the values of a setting as a file gives them: a list, one value, or a range."""
+    """Return the values of a setting that a file gives as a list, as one value, or as a range.
+
+    Raises
+    ------
+    ConfigError
+        If they are a table, or a range is not valid.
+    """
     if isinstance(values, str):
         return parsed(name, [values])
     if isinstance(values, dict):
@@ -137,7 +149,7 @@ def axis_of(path: Any, name: str, values: Any) -> Values | Interval:
 
 
 def to_toml_value(value: Any) -> Any:
-    """Return a value, or the values of an axis, for a TOML document."""
+    """Return a value, or the values of a setting, as they are written in a TOML document."""
     if isinstance(value, Interval):
         return str(value)
     return toml_array(value) if isinstance(value, tuple) else value

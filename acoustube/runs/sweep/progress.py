@@ -1,4 +1,4 @@
-"""Progress of a sweep, stage by stage, with the time left from expected and measured costs."""
+"""Progress of a sweep, stage by stage, and the time left from expected and measured times."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from acoustube.runs.sweep.costs import case_cost, matrix_cost, path_cost
 from acoustube.runs.sweep.graph import LoadPath
 
 PRIOR_SECONDS = 60.0
-"""Work in s after which measured costs have the same weight as expected ones."""
+"""Work in s after which measured and expected times have equal weight."""
 
 
-# Number and cost in seconds of the tasks of each stage.
+# Number of the tasks of each stage, and their total expected time in s.
 Totals = dict[str, tuple[int, float]]
 
 
@@ -22,10 +22,10 @@ class Board:
 
     Parameters
     ----------
-    totals : dict of str
-        Number and cost in s of the tasks of each stage.
+    totals : dict of str to (int, float)
+        Number of the tasks of each stage, and their total expected time in s.
     workers : int
-        Tasks that run at the same time.
+        Number of tasks that run at the same time.
     show : callable
         See :class:`acoustube.base.report.ShowProgress`.
     """
@@ -45,12 +45,13 @@ class Board:
         Parameters
         ----------
         stage : str
+            A stage of `totals`.
         cost : float
-            Expected cost in s.
+            Expected time of these tasks in s.
         n : int
-            Number of the tasks.
+            Number of these tasks.
         reused : bool
-            Whether their results were cached and therefore give no information on the speed.
+            Whether the results were cached, so that the tasks give no information on the speed.
         """
         self.done[stage] += n
         self.left -= cost
@@ -66,10 +67,10 @@ class Board:
             self.show(stage, self.done[stage], self.totals[stage][0], left)
 
     def _time_left(self, now: float) -> str:
-        """Return the expected time left.
+        """Return the expected time left in words.
 
-        It is scaled by the ratio of measured to expected time up to the last finished task. While
-        other tasks run it then decreases, to half at most.
+        The expected time is scaled by the ratio of measured to expected time up to the last
+        finished task. From then on it decreases with time, to half at most.
         """
         measured = self.counted - self.started
         scale = (measured + PRIOR_SECONDS) / (self.spent / self.workers + PRIOR_SECONDS)
@@ -78,7 +79,7 @@ class Board:
 
 
 def totals_of(paths: Sequence[LoadPath]) -> Totals:
-    """Return the number of tasks of each stage of a sweep, and their cost in seconds."""
+    """Return the number of tasks of each stage of a sweep, and their total expected time in s."""
     groups = [group for path in paths for group in path.groups]
     pressed = [path for path in paths if path.presses]
     matrices = [group for group in groups if group.band is not None]

@@ -39,7 +39,7 @@ LISTED = 10
 
 
 class Work(NamedTuple):
-    """Cases of a plan: finished, failed and remaining.
+    """Finished, failed and remaining cases of a plan, or of a part of it.
 
     Attributes
     ----------
@@ -48,9 +48,9 @@ class Work(NamedTuple):
     finished : int
         Number of finished cases.
     failed : dict of str
-        Reasons why cases have failed, by name.
+        Reasons why cases have failed, by name of the case; these are not repeated.
     n_cases : int
-        Number of cases of this share of the plan.
+        Number of all cases of the part.
     """
 
     todo: list[LoadPath]
@@ -84,7 +84,7 @@ def run_sweep(
     ----------
     plan : Plan
     out : str or path
-        A folder, new or of a sweep.
+        Folder of the sweep, new or to be resumed.
     report : Reporter
         Receives messages and progress; by default nothing is shown.
     workers : int or Workers, optional
@@ -92,23 +92,24 @@ def run_sweep(
     executor : concurrent.futures.Executor, optional
         Runs the tasks in place of processes of this machine.
     width : int, optional
-        Tasks submitted to `executor` at a time; by default the number of its workers, if known.
-    share : tuple of int
-        Number, from 1, of the part to compute, and count of parts of nearly equal size.
+        Number of tasks submitted to `executor` at a time; by default the number of its workers if
+        known, else that of the processes.
+    share : (int, int)
+        Number, from 1, of the part of the plan to compute, and count of parts of nearly equal size.
     retry : bool
         Whether cases that failed before are tried again.
 
     Returns
     -------
     bool
-        Whether no case has failed.
+        Whether no case has failed, now or, without `retry`, before.
 
     Raises
     ------
     ConfigError
         If the plan or the folder cannot be used.
     SimulationError
-        If the disk is full, or the executor has shut down.
+        If a file cannot be written, as on a full disk, or the workers are gone.
     """
     started = time.perf_counter()
     cases = cases_of(plan)
@@ -156,19 +157,20 @@ def run_with_progress(
     ----------
     tasks : iterable of Task
     board : Board
-        Progress display, refreshed regularly; a refresh also raises a lost interrupt.
+        Progress display, which is refreshed regularly and so raises an interrupt that was lost.
     workers : int, Workers or None
         Processes of this machine, unless there is an executor.
     executor : concurrent.futures.Executor, optional
+        Runs the tasks in place of processes of this machine.
     width : int, optional
-        Tasks that are handed over at a time; as many as workers by default.
+        Number of tasks submitted at a time; as many as `workers` by default.
     """
     with worker_pool(workers) as processes:
         run_tasks(tasks, executor or processes, width or processes.count, board.tick)
 
 
 def _note_contents(folder: Path, found: store.Contents, report: Reporter) -> None:
-    """Set damaged files aside, and report these and foreign ones."""
+    """Rename damaged files, and report them and the files of other programs."""
     for path in found.damaged:
         aside = store.set_aside(path)
         report.note(f"{path.name} is damaged; it is computed again, and kept as {aside.name}")
@@ -179,7 +181,15 @@ def _note_contents(folder: Path, found: store.Contents, report: Reporter) -> Non
 
 
 class Scale(NamedTuple):
-    """Ratio of a plan to a sample of it, and the numbers of its load paths and matrices."""
+    """Size of a plan of which only a sample of cases is examined.
+
+    Attributes
+    ----------
+    cases : float
+        Number of cases of the plan over that of the sample.
+    n_paths, n_matrices : int
+        Numbers of load paths and of scattering matrices of the plan.
+    """
 
     cases: float
     n_paths: int
@@ -187,7 +197,13 @@ class Scale(NamedTuple):
 
 
 def cases_of(plan: Plan) -> list[Case]:
-    """Return the cases of a plan, each once."""
+    """Return the cases of a plan, each once.
+
+    Raises
+    ------
+    ConfigError
+        If there are none, or a case is not valid.
+    """
     if not len(plan):
         raise ConfigError("the plan has no cases; give values to vary")
     named = {case_name(config): config for config in plan.configs()}
@@ -201,7 +217,21 @@ def work_of(
     share: tuple[int, int],
     retry: bool,
 ) -> Work:
-    """Return the remaining work of some cases, or of one shard of them."""
+    """Return the work that remains of a part of the cases.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+        All cases of a plan.
+    folder : Path or None
+        Folder of the sweep; None if there is none.
+    found : Contents
+        Contents of the folder.
+    share : (int, int)
+        Number of the part, from 1, and count of parts.
+    retry : bool
+        Whether cases that failed before remain.
+    """
     paths = load_paths(cases)
     mine = shard(paths, *share)
     finished = mine & set(found.finished)
@@ -213,7 +243,7 @@ def work_of(
 def _note_other_plan(
     plan: Plan, folder: Path, found: store.Contents, names: set[str], report: Reporter
 ) -> None:
-    """Report results in a folder that belong to another plan or version."""
+    """Report the results in a folder of another plan or of another version of acoustube."""
     path = folder / store.PLAN
     before = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
     if not before or before == to_toml(plan):
@@ -231,7 +261,7 @@ def _note_other_plan(
 
 
 def _names_of(path: Path) -> set[str]:
-    """Return the names of the cases of a plan in a file; none if it is not a plan."""
+    """Return the names of the cases of a plan in a file; none if the file is not a plan."""
     try:
         return {case_name(config) for config in load_plan(path).configs()}
     except ConfigError:
@@ -239,7 +269,10 @@ def _names_of(path: Path) -> set[str]:
 
 
 def report_work(work: Work, workers: int, report: Reporter, scale: Scale | None = None) -> None:
-    """Report the cases, the presses and matrices that they share, and their expected cost."""
+    """Report the cases, the load paths and matrices that they share, and their expected cost.
+
+    If `scale` is given, `work` is that of a sample, from which the cost of the plan is estimated.
+    """
     groups = [group for path in work.todo for group in path.groups]
     n_paths = sum(path.presses for path in work.todo)
     n_matrices = sum(1 for group in groups if group.band is not None)
@@ -268,7 +301,7 @@ def report_work(work: Work, workers: int, report: Reporter, scale: Scale | None 
 def _report_end(
     done: Counter[str], failed: dict[str, str], folder: Path, seconds: float, report: Reporter
 ) -> None:
-    """Report computed and failed cases."""
+    """Report the numbers of computed tasks and cases, and the failed cases with the reasons."""
     if done:
         report.line(
             f"paths: {done['path computed']} computed, {done['path reused']} reused; scattering: "

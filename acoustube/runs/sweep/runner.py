@@ -1,4 +1,4 @@
-"""Scheduling of a sweep: tasks for its load paths, and the tasks that follow from their results."""
+"""Scheduling of a sweep: tasks for its load paths, and the tasks that follow from the results."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from acoustube.runs.sweep.progress import Board
 from acoustube.runs.sweep.workers import Task
 
 CASES_PER_TASK = 100
+"""Largest number of cases that a task simulates."""
 
 
 class Runner:
@@ -30,9 +31,9 @@ class Runner:
     board : Board
         Progress display.
     failed : dict of str
-        Reasons of failure by names of cases, to which failures are added.
+        Reasons of failure by name of the case; failures of the sweep are added.
     done : Counter
-        Number of finished tasks by kind, which is updated.
+        Numbers of finished tasks by kind; those of the sweep are added.
     """
 
     def __init__(
@@ -129,7 +130,7 @@ class Runner:
         self.board.count(stage, cost, reused=reused)
 
     def _fail(self, cases: Sequence[Case], reason: str, skipped: Group | None) -> None:
-        """Record that cases have failed; the scattering of `skipped` is then not computed."""
+        """Record that cases failed; the matrix of the group `skipped` is then not computed."""
         for case in cases:
             self.failed[case.name] = reason
             store.record_failure(self.folder, case.name, reason, dataclasses.asdict(case.config))

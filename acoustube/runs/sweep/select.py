@@ -17,7 +17,10 @@ from acoustube.waves import Recording
 
 
 def chosen(cases: xr.Dataset) -> xr.Dataset:
-    """Return the cases with amplitude, distance and its error at the selected source end."""
+    """Return the cases at the source end that each selects, with ``amplitude`` and ``error``.
+
+    The error is that of the estimated distance in m, nan for an untouched tube.
+    """
     ends = xr.DataArray(cases["chosen_source_end"].values, dims="press")
     there = cases.sel(source_end=ends)
     error = (there["estimated_distance"] - there["true_distance"]).where(there["depth"] > 0)
@@ -25,7 +28,7 @@ def chosen(cases: xr.Dataset) -> xr.Dataset:
 
 
 def by_tool(cases: xr.Dataset) -> Iterator[tuple[str, xr.Dataset]]:
-    """Yield the cases of each indenter, with its name."""
+    """Yield the name of each indenter, and the cases with this indenter."""
     tools = list(zip(cases["shape"].values, cases["diameter"].values, strict=True))
     for shape, diameter in sorted(set(tools)):
         mine = [i for i, tool in enumerate(tools) if tool == (shape, diameter)]
@@ -33,7 +36,7 @@ def by_tool(cases: xr.Dataset) -> Iterator[tuple[str, xr.Dataset]]:
 
 
 def usual(cases: xr.Dataset) -> xr.Dataset:
-    """Return the cases of that combination of other settings which has the most depths."""
+    """Return the cases that differ in depth alone, for the other settings with the most depths."""
     keys = []
     for text in cases["configuration"].values:
         settings = json.loads(str(text))
@@ -49,7 +52,7 @@ def ranged(case: xr.Dataset) -> tuple[SISettings, Recording, signals.Ranging]:
     Parameters
     ----------
     case : xarray.Dataset
-        At one source end.
+        A case of a sweep at one source end.
 
     Returns
     -------
@@ -69,7 +72,7 @@ def ranged(case: xr.Dataset) -> tuple[SISettings, Recording, signals.Ranging]:
 
 
 def envelope_of(case: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distance in m of each sample of an envelope, and the envelope."""
+    """Return distances in m, (n,), and the envelope of a case relative to the send pulse, (n,)."""
     settings, recording, ranging = ranged(case)
     delay = recording.time - float(ranging.send_time)
     away = signals.distance(delay, settings.temperature) + settings.probe

@@ -1,6 +1,6 @@
 """Folder of a sweep: result files, which are never incomplete, failures, and the plan.
 
-A file of results is named by the hash of its cases' names and holds the hash of its own content.
+A file of results has the hash of its cases' names in its name, and the hash of its content inside.
 Nothing is written twice, so that any number of sweeps may write to one folder.
 """
 
@@ -30,14 +30,17 @@ from acoustube.base.writing import write as put
 from acoustube.runs.sweep.plan import digest
 
 PLAN = "sweep.toml"
+"""Name of the file of the plan."""
 FAILURES = "failed"
+"""Name of the folder with a JSON file for each failed case."""
 SHARD = re.compile(r"cases-[0-9a-f]{32}\.nc")
+"""Names of files of results."""
 SCATTERING = "scattering"
-"""Group of a file with the scattering matrix of its press."""
+"""Group of a results file with the scattering matrix of its press."""
 WALLS = "walls"
-"""Group of a file with the walls of its pressed tube; earlier files have none."""
+"""Group of a results file with the walls of its pressed tube; not every file has it."""
 OPENING: dict[str, Any] = {"engine": "h5netcdf", "phony_dims": "access"}
-"""Arguments of xarray.open_dataset; a damaged file may have axes without a name."""
+"""Arguments of xarray.open_dataset, which allow for axes without a name in a damaged file."""
 ABANDONED = 3600.0
 """Age in s at which a partial file counts as left behind by a killed run."""
 
@@ -48,11 +51,11 @@ class Contents(NamedTuple):
     Attributes
     ----------
     finished : dict of Path
-        File of each finished case, by name.
+        File of each finished case, by name of the case.
     damaged : list of Path
-        Files of results whose content is not what was written.
+        Files of results whose content differs from what was written.
     foreign : list of Path
-        Files that no sweep wrote.
+        Files that are not those of a sweep.
     """
 
     finished: dict[str, Path]
@@ -66,7 +69,7 @@ def prepared(path: str | Path) -> Path:
     Raises
     ------
     ConfigError
-        If it cannot be written to, or holds something else.
+        If the folder cannot be written to, or holds something else.
     """
     folder = Path(path).expanduser().resolve()
     if not _begun(folder):
@@ -90,7 +93,7 @@ def prepared(path: str | Path) -> Path:
 
 
 def _begun(folder: Path) -> bool:
-    """Return whether a folder is a sweep's: it has a plan, or only one that is being written."""
+    """Return whether a folder is a sweep's: it has a plan, or only files that are being written."""
     if not folder.is_dir() or (folder / PLAN).is_file():
         return folder.is_dir()
     names = [path.name for path in folder.iterdir()]
@@ -106,7 +109,7 @@ def _sweep_up(folder: Path) -> None:
 
 
 def contents(folder: Path) -> Contents:
-    """Return the contents of a sweep's folder, after a check of its results."""
+    """Return the contents of a sweep's folder, after a check of each file of results."""
     finished: dict[str, Path] = {}
     damaged: list[Path] = []
     foreign: list[Path] = []
@@ -121,7 +124,7 @@ def contents(folder: Path) -> Contents:
 
 
 def intact(path: Path) -> list[str] | None:
-    """Return the names of the cases in a file, or None if the file is damaged."""
+    """Return the name of the case of each press or cycle in a file; None if the file is damaged."""
     import h5py
 
     try:
@@ -137,7 +140,7 @@ def intact(path: Path) -> list[str] | None:
 
 
 def read(path: Path) -> tuple[xr.Dataset, xr.Dataset | None]:
-    """Return the cases of a file of results, and the scattering matrix that they share."""
+    """Return the cases of a results file, and their common scattering matrix; None without one."""
     with xr.open_dataset(path, **OPENING) as file:
         data = file.load()
     matrix = None
@@ -148,7 +151,7 @@ def read(path: Path) -> tuple[xr.Dataset, xr.Dataset | None]:
 
 
 def sound_of(path: Path) -> tuple[bytes, ...]:
-    """Return bore, temperature, carrier and scattering's frequencies of a file, for comparison."""
+    """Return bore, air, carrier and scattering's frequencies of a file, as bytes to compare."""
     import h5py
 
     names = "inner_diameter", "temperature", "carrier_frequency", f"{SCATTERING}/frequency"
@@ -157,7 +160,7 @@ def sound_of(path: Path) -> tuple[bytes, ...]:
 
 
 def walls(path: Path) -> xr.Dataset | None:
-    """Return the tube's walls that the cases of a results file share, or None if it has none."""
+    """Return the walls of the tube that the cases of a results file share; None without them."""
     import h5py
 
     with h5py.File(path) as content:
@@ -173,7 +176,7 @@ def write(
     matrix: xr.Dataset | None,
     walls: xr.Dataset | None = None,
 ) -> Path:
-    """Write the results of some cases atomically.
+    """Write the results of some cases atomically, and return the path of the file.
 
     Parameters
     ----------
@@ -183,12 +186,12 @@ def write(
     matrix : xarray.Dataset or None
         The scattering matrix that the cases share.
     walls : xarray.Dataset or None
-        The walls of the tube that they share, from :func:`acoustube.runs.walls.walls`.
+        The walls of the tube that the cases share, from :func:`acoustube.runs.walls.walls`.
 
     Raises
     ------
     SimulationError
-        If the disk is full.
+        If the file cannot be written, as on a full disk.
     """
     path = folder / f"cases-{digest(sorted(map(str, data['press'].values)))[:32]}.nc"
     write_file(path, data, matrix, walls)
@@ -210,7 +213,7 @@ def write_file(
     path : Path
     data : xarray.Dataset
     matrix, walls : xarray.Dataset or None
-        Scattering matrix and walls that belong to it.
+        Scattering matrix and walls that belong to the dataset.
     chunks : mapping of str to int, optional
         Chunk length along the first dimension, by variable.
 
@@ -231,7 +234,7 @@ def write_file(
 
 
 def _put(path: Path, content: bytes | str) -> None:
-    """Write a file to a folder that can be resumed, replacing one of that name."""
+    """Write a file to a folder that can be resumed, in place of a file of that name."""
     try:
         put(path, content, overwrite=True)
     except DiskFullError as error:
@@ -242,7 +245,7 @@ def _put(path: Path, content: bytes | str) -> None:
 
 
 def _packed(data: xr.Dataset, chunks: Mapping[str, int] | None = None) -> dict[Any, dict[str, Any]]:
-    """Return the compression and the chunks of each variable."""
+    """Return the encoding of each variable: compression of large ones, and chunks."""
     large = [name for name, v in data.variables.items() if v.size > 1000 and v.dtype.kind in "fiu"]
     packed: dict[Any, dict[str, Any]] = {
         name: {"zlib": True, "complevel": 1, "shuffle": True} for name in large
@@ -254,7 +257,7 @@ def _packed(data: xr.Dataset, chunks: Mapping[str, int] | None = None) -> dict[A
 
 
 def _content(*parts: xr.Dataset | None) -> str:
-    """Return the hash of all values, by name."""
+    """Return the hash of the names, shapes and values of all variables."""
     found = hashlib.sha256()
     for part in parts:
         for name, values in sorted((part.variables if part is not None else {}).items()):
@@ -272,7 +275,7 @@ def set_aside(path: Path) -> Path:
 
 
 def failures(folder: Path) -> dict[str, str]:
-    """Return the reasons of failed cases, by name."""
+    """Return the reasons why cases have failed, by name of the case."""
     found = {}
     for path in sorted((folder / FAILURES).glob("*.json")):
         try:
@@ -283,7 +286,7 @@ def failures(folder: Path) -> dict[str, str]:
 
 
 def record_failure(folder: Path, name: str, reason: str, configuration: Mapping[str, Any]) -> None:
-    """Record that a case has failed, and why."""
+    """Write a file that states the reason of a case's failure, and the settings of the case."""
     content = {
         "reason": reason,
         "configuration": configuration,
@@ -296,6 +299,6 @@ def record_failure(folder: Path, name: str, reason: str, configuration: Mapping[
 
 
 def delete_failures(folder: Path, names: Iterable[str]) -> None:
-    """Remove the records of failed cases."""
+    """Delete the files of failed cases, given the names of the cases."""
     for name in names:
         (folder / FAILURES / f"{name}.json").unlink(missing_ok=True)

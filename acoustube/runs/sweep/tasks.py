@@ -29,7 +29,7 @@ Result = TypeVar("Result")
 
 
 class Done(NamedTuple, Generic[Result]):
-    """Result of a task, and whether it came from the cache."""
+    """Result of a task, and whether the result came from the cache."""
 
     result: Result
     reused: bool
@@ -52,7 +52,7 @@ class Pressed:
     part : Lumen or None
         The pressed part; None for an untouched tube.
     walls : xarray.Dataset or None
-        Its walls with fewer points; None for an untouched tube.
+        Walls of the pressed part with fewer points; None for an untouched tube.
     """
 
     force: float
@@ -72,7 +72,7 @@ class PressPath(NamedTuple):
     at : dict of float to Pressed
         Presses by depth in m, without depths that could not be reached.
     stopped : str
-        Reason why some could not be reached; empty otherwise.
+        Reason why some depths could not be reached; empty otherwise.
     """
 
     at: Mapping[float, Pressed]
@@ -80,13 +80,15 @@ class PressPath(NamedTuple):
 
 
 def untouched(settings: SIPress) -> Pressed:
-    """Return an undeformed tube."""
+    """Return the force, 0, and the lumen of an undeformed tube."""
     bore = settings.tube.inner_diameter
     return Pressed(0.0, bore, bore, np.pi * bore**2 / 4, closed=False, part=None)
 
 
 def press(settings: SIPress, depths: Sequence[float]) -> Done[PressPath]:
-    """Press a tube to several depths.
+    """Press a tube to several depths, or read the press from the cache.
+
+    Depths that cannot be reached are left out of the result, with the reason.
 
     Parameters
     ----------
@@ -128,7 +130,7 @@ class Band(NamedTuple):
     low, high : float
         Ends of the band in Hz.
     temperature : float
-        Air temperature in degC, from which the matrix at other temperatures follows.
+        Air temperature in degC of the matrix, from which that at other temperatures follows.
     """
 
     low: float
@@ -137,7 +139,7 @@ class Band(NamedTuple):
 
 
 def scattering_key(settings: SISettings, depths: Sequence[float], depth: float, band: Band) -> str:
-    """Return the cache key of the scattering matrix of a press."""
+    """Return the cache key of the scattering matrix at one depth of a press to `depths`, in m."""
     return cache.key(
         "scattering",
         {
@@ -173,11 +175,13 @@ def scattering(
     Parameters
     ----------
     settings : SISettings
-        Settings, of which the grid, the air and the losses are used.
+        Settings, of which method, grid, humidity, pressure and losses are used.
     name : str
         Cache key; see :func:`scattering_key`.
     band : Band
+        Frequency band, and temperature of the air.
     part : Lumen
+        From :func:`acoustube.lumen.pressed_part`.
     label : str
         Description for the list of the cache.
     """

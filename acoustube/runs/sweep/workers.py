@@ -38,7 +38,7 @@ def dask_executor(address: str) -> tuple[Executor, int]:
     Raises
     ------
     ConfigError
-        If the package is not installed, or no scheduler answers.
+        If the package is not installed, no scheduler answers, or the cluster has no workers.
     """
     try:
         from distributed import Client
@@ -61,9 +61,9 @@ def dask_executor(address: str) -> tuple[Executor, int]:
 
 
 def _connected(client: Callable[..., Any], address: str) -> Any:
-    """Return a client of a scheduler.
+    """Return a client of a scheduler; raise TimeoutError if there is none.
 
-    If another server answers, the client waits for ever; it therefore runs on its own thread.
+    If a server of another kind answers, a client waits for ever, and so it is made on a thread.
     """
     found: Future[Any] = Future()
 
@@ -83,7 +83,7 @@ def _connected(client: Callable[..., Any], address: str) -> Any:
 
 
 def _reach(address: str) -> None:
-    """Test the connection to a scheduler: the client itself reports a failure twice, and late."""
+    """Test the connection to a scheduler, since a client reports a failure twice, and late."""
     place = urlsplit(address if "//" in address else f"//{address}")
     if place.scheme in ("", "tcp", "tls"):
         socket.create_connection((place.hostname, place.port or 8786), SCHEDULER_TIMEOUT).close()
@@ -92,11 +92,12 @@ def _reach(address: str) -> None:
 SCHEDULER_TIMEOUT = 10.0
 """Seconds in which a scheduler has to answer."""
 ATTEMPTS = 3
-"""Number of lost workers after which a task is given up."""
+"""Number of lost workers with which a task fails."""
 POLL_INTERVAL = 0.2
 """Seconds between polls of the workers."""
 GONE = "the workers or their scheduler are gone; start them and run the same command again"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+"""Environment variables that limit the threads of a process."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +107,9 @@ class Task:
     Attributes
     ----------
     work : callable
-        A function of a module, which a worker can import.
+        Function that a worker calls; it is importable from a module.
     arguments : tuple
+        Arguments of `work`.
     then : callable
         Called in this process with the result of `work`; returns the tasks that can follow.
     failed : callable
@@ -126,7 +128,13 @@ class Task:
 class Workers:
     """Pool of local processes, started on demand, and restarted when one is lost.
 
-    They persist until ended, so that imported modules and compiled code are reused by later runs.
+    The processes persist until :meth:`end`, so that later runs reuse imported modules and compiled
+    code.
+
+    Parameters
+    ----------
+    count : int
+        Number of processes.
     """
 
     def __init__(self, count: int) -> None:
@@ -134,12 +142,12 @@ class Workers:
         self._pool: Executor | None = None
 
     def pool(self) -> Executor:
-        """Return an executor whose workers could start.
+        """Return an executor on the processes, which are started if they do not run.
 
         Raises
         ------
         SimulationError
-            If none can.
+            If no worker can start.
         """
         if self._pool is None:
             self._pool = process_pool(self.count)
@@ -167,7 +175,7 @@ class Workers:
 
 
 WORKERS = Optional(Either((Workers,), Number(1, 1024, "processes", whole=True)))
-"""Rule of an argument `workers`: a number of processes, a pool, or None for one per core."""
+"""Rule of arguments `workers`: a number of processes, a pool, or None for one per core."""
 
 
 @contextmanager
@@ -177,7 +185,7 @@ def worker_pool(workers: int | Workers | None) -> Iterator[Workers]:
     Parameters
     ----------
     workers : int, Workers or None
-        Number of processes, with None that of the cores; or an existing pool.
+        Number of processes, None for one per core; or an existing pool.
     """
     if isinstance(workers, Workers):
         yield workers
@@ -203,16 +211,17 @@ def run_tasks(
     ----------
     tasks : iterable of Task
     workers : Workers or concurrent.futures.Executor
-        They are left running; only Workers are ended if an error or an interrupt ends the run.
+        Workers, which are left running. If an error or an interrupt ends the run, Workers are
+        ended, but not another executor.
     width : int
-        Tasks that are handed over at a time.
+        Largest number of tasks that the workers have at a time.
     tick : callable
-        Called several times a second; what it raises ends the run.
+        Called several times a second; an exception that it raises ends the run.
 
     Raises
     ------
     SimulationError
-        If the executor itself has shut down, or its workers cannot start.
+        If the executor has shut down, or its workers are lost or cannot start.
 
     Notes
     -----
@@ -248,7 +257,7 @@ def run_tasks(
 
 
 def _settle(future: Future[Any], task: Task, waiting: deque[Task], lost: Counter[Task]) -> bool:
-    """Handle the result of a finished task; return whether its worker was lost."""
+    """Pass on the result or failure of a finished task; return whether its worker was lost."""
     try:
         result = future.result()
     except CancelledError as error:
@@ -270,7 +279,7 @@ def _hand_over(
     width: int,
     lost: Counter[Task],
 ) -> bool:
-    """Submit tasks up to the limit; return False if the workers are lost."""
+    """Submit waiting tasks until `width` are running; return False if the workers are lost."""
     while waiting and len(running) < width:
         last_try = lost[waiting[0]] == ATTEMPTS - 1 or any(
             lost[task] == ATTEMPTS - 1 for task in running.values()
@@ -289,7 +298,7 @@ def _hand_over(
 
 
 def _again(task: Task, waiting: deque[Task], lost: Counter[Task]) -> None:
-    """Queue a task again that has lost its worker; fail it after ATTEMPTS lost workers."""
+    """Queue a task that has lost its worker again; let it fail after ATTEMPTS lost workers."""
     lost[task] += 1
     if lost[task] < ATTEMPTS:
         waiting.appendleft(task)
@@ -300,7 +309,7 @@ def _again(task: Task, waiting: deque[Task], lost: Counter[Task]) -> None:
 
 
 def process_pool(workers: int) -> Executor:
-    """Return a pool of fresh processes, which share the cores."""
+    """Return a pool of new processes, each limited to its share of the cores."""
     import multiprocessing
 
     return ProcessPoolExecutor(
@@ -319,12 +328,12 @@ def cores() -> int:
 
 
 def _start(threads: int) -> None:
-    """Prepare a worker: bound its threads, leave interrupts to its parent, and end with it."""
+    """Prepare a worker: limit its threads, ignore interrupts, and end with its parent."""
     import multiprocessing
     import signal
     import threading
 
-    for name in THREADS:  # a bound that the user has set stays
+    for name in THREADS:  # a limit that the user has set stays
         os.environ.setdefault(name, str(threads))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()

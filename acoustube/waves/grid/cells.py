@@ -51,7 +51,7 @@ class CutCells:
     spacing : tuple of float
         Cell size (dx, dy, dz) in m.
     origin : tuple of float
-        Lower corner of the first cell in m.
+        Lower corner (x, y, z) of the first cell in m; x is zero in a half model.
     length : float
         Axial length L of the lumen in m. The end z = L need not be a grid plane.
     volume_fraction : ndarray
@@ -81,7 +81,7 @@ class CutCells:
         return self.origin[axis] + steps * self.spacing[axis]
 
     def area(self) -> Array:
-        """Return the lumen's mean cross-section in each cell layer in m2, (nz,)."""
+        """Return the mean cross-section of each layer in m2, (nz,); half of it in a half model."""
         dx, dy, _ = self.spacing
         open_cells: Array = self.volume_fraction.sum(axis=(0, 1))
         return open_cells * dx * dy
@@ -137,7 +137,7 @@ def cut_cells(
 
 
 def _shortened(triangles: Array, step: float) -> tuple[Array, Indices]:
-    """Return a tube with shortened straight ends, and the equal layer in it of each layer.
+    """Shorten a tube's straight ends; also return which layer of the result equals each layer.
 
     Parameters
     ----------
@@ -239,7 +239,8 @@ def with_straight_ends(cells: CutCells, before: int, after: int | None) -> CutCe
     Returns
     -------
     CutCells
-        With outermost faces as open as in an endless continuation.
+        With outermost faces as open as in an endless continuation; `length` is still that of the
+        lumen.
     """
     dz = cells.spacing[2]
     last = cells.shape[2] - 1

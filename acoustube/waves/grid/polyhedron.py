@@ -26,7 +26,7 @@ BATCH = 50_000
 
 
 class Fractions(NamedTuple):
-    """Fractions of cells (nx, ny, nz) and of their faces (one more along the face's normal)."""
+    """Open fractions of cells (nx, ny, nz) and of faces (one more along the face's normal)."""
 
     volume: Array
     open_x: Array
@@ -59,7 +59,8 @@ def cut_polyhedron(
     Raises
     ------
     ValueError
-        If a fraction lies outside [0, 1]: the surface is open or folds through itself.
+        If a fraction lies outside [0, 1], or a piece of the surface belongs to no cell: the surface
+        is open, folds through itself or extends beyond the grid.
 
     Notes
     -----

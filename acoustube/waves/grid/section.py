@@ -19,6 +19,9 @@ from acoustube.waves.grid.cells import CutCells
 def section_stiffness(area_x: Any, area_y: Any, inside: NDArray[np.bool_]) -> sp.csr_matrix:
     """Return the stiffness matrix ``sum A (p - p')`` of the open cells of a layer.
 
+    The sum is over the transverse faces of a cell of pressure p; A is the weighted open area of a
+    face, and p' the pressure of the cell beyond it.
+
     Parameters
     ----------
     area_x, area_y : ndarray
@@ -66,7 +69,7 @@ def section_cut_ons(
     cells : CutCells
         The lumen. A half model has only the modes symmetric about x = 0.
     layer : int
-        Index of the layer along z.
+        Index of the layer along z; negative indices count from the last.
     sound_speed : float
         In m/s.
     n_modes : int
@@ -80,12 +83,13 @@ def section_cut_ons(
     Raises
     ------
     ConfigError
-        If there is no such layer, or it has fewer cells than modes.
+        If there is no such layer, or it does not have more open cells than modes.
 
     Notes
     -----
-    The eigenvalue problem of the layer, ``sum A (p - p') = (2 pi f h / c)^2 V p``, is solved by
-    shift-inverted Lanczos iteration.
+    The eigenvalue problem of the layer, ``sum A (p - p') = (2 pi f h / c)^2 V p`` with the open
+    fractions A of the faces and V of the cells and the cell size h, is solved by shift-inverted
+    Lanczos iteration.
     """
     dx, dy, _ = cells.spacing
     n_layers = cells.volume_fraction.shape[2]

@@ -26,12 +26,13 @@ CLOSED_FRACTION = 1e-6
 BORROWING_RATIO = 1.25
 """Ratio of open faces to volume, relative to a full cell, above which a cell borrows volume."""
 PADDING_RATIO = 1.5
-"""The same ratio, above which the volume of a cell that could not borrow enough is increased."""
+"""Ratio of open faces to volume, relative to a full cell, above which the volume of a cell that
+could not borrow enough is increased."""
 BORROWING_ROUNDS = 2
 
 
 class _Side(NamedTuple):
-    """One of a cell's six faces: axis, direction and open area."""
+    """One of the six sides of all cells: axis, direction (-1 or 1) and open areas (nx, ny, nz)."""
 
     axis: int
     step: int
@@ -62,8 +63,9 @@ def share_small_volumes(cells: CutCells) -> CutCells:
     an upper bound of the faces removes mobility, both O(h). Axial faces move with the volumes: in a
     straight tube they stay equal, and plane waves stay plane.
 
-    Errors for a circular cross-section, the worst of five (borrow: six) positions within a cell, at
-    16, 32 and 64 cells per diameter; the step is the smallest, relative to an uncut grid's:
+    The table gives relative errors of the cut-ons of a circular cross-section at 16, 32 and 64
+    cells per diameter, the worst of five (borrow: six) positions of its centre within a cell, with
+    ratios of faces to volume in the plane; the step is the smallest, relative to an uncut grid's:
 
     ==================== ===================== ===================== ===== ==========
     rule                 (1,1) error %         (2,1) error %         order step

@@ -19,7 +19,7 @@ The diagonals that divide the wall into triangles are not mirrored, which moves 
 hundredth of a cell.
 """
 SKEWED_TOLERANCE = 5e-3
-"""The same for symmetry along z, of a lumen that is not symmetric about x = 0.
+"""`SYMMETRY_TOLERANCE` for mirror images along z of a lumen that is not symmetric about x = 0.
 
 The lumen under a slightly turned rod differs from its mirror images by little more than the effect
 of the triangles.
@@ -27,13 +27,13 @@ of the triangles.
 
 
 def is_symmetric(cells: CutCells) -> bool:
-    """Return True for a lumen that is mirror symmetric about x = 0."""
+    """Return True for a whole lumen, not a half, that is mirror symmetric about x = 0."""
     mirrored = np.abs(cells.volume_fraction - cells.volume_fraction[::-1])
     return bool(cells.origin[0] < 0 and mirrored.max() < SYMMETRY_TOLERANCE)
 
 
 def is_reversible(cells: CutCells, tolerance: float = SYMMETRY_TOLERANCE) -> bool:
-    """Return True for a lumen that is mirror symmetric along z."""
+    """Return True for a lumen that is mirror symmetric about the middle of its grid along z."""
     mirrored = np.abs(cells.volume_fraction - cells.volume_fraction[..., ::-1])
     return bool(mirrored.max() < tolerance)
 
@@ -70,7 +70,10 @@ def straight_ends_cut(cells: CutCells) -> CutCells:
 
 
 def _last_straight_layer(cells: CutCells, last: int, inwards: int) -> int:
-    """Return the innermost straight layer of the end at low z (`inwards` = 1) or high z (-1)."""
+    """Return the innermost straight layer of the end at low z (`inwards` = 1) or high z (-1).
+
+    `last` is the index of the last layer that lies wholly in the lumen.
+    """
     volume, rim = cells.volume_fraction, 1 if inwards > 0 else last - 1
     off = np.abs(volume - volume[..., [rim]]).max(axis=(0, 1)) > STRAIGHT_TOLERANCE
     inside = np.arange(rim, last if inwards > 0 else 0, inwards)

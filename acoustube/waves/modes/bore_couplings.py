@@ -14,7 +14,7 @@ from acoustube.waves.modes.round_duct import bessel_zero, modes_below
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoreModes:
-    """Modes of the round bore of radius 1, with their coupling coefficients in a bend.
+    """Modes of the round bore of radius 1, n in number, with their coupling coefficients in a bend.
 
     Attributes
     ----------
@@ -22,12 +22,12 @@ class BoreModes:
         As ``00``, ``11c``, ``11s``: c stands for cos(m phi), s for sin(m phi), with phi measured
         from the direction of the centre of curvature, from -y towards +x; a press comes from +y.
     zeros : ndarray
-        j'mn, (n,).
+        Zeros j'mn of the Bessel functions' derivatives: cut-on wavenumbers times radius, (n,).
     x, across, twist : ndarray
         X, Y and M of :mod:`acoustube.waves.bends`, (n, n), in units of the bore's radius.
     flattening : ndarray
-        Derivatives of the squared cut-on wavenumbers with respect to the ovality, (n,), in the same
-        units.
+        Derivatives of the squared cut-on wavenumbers with respect to the ovality (`bends.Bent`), in
+        units of the inverse squared radius, (n,).
     """
 
     names: tuple[str, ...]
@@ -44,7 +44,7 @@ def bore_modes(highest: float) -> BoreModes:
     Parameters
     ----------
     highest : float
-        Largest j'mn.
+        Upper bound of the modes' j'mn, the zeros of the Bessel functions' derivatives.
 
     Notes
     -----
@@ -78,12 +78,13 @@ def bore_modes(highest: float) -> BoreModes:
 
 
 def _flattened(m: int, n: int, side: str) -> float:
-    """Return the derivative of a squared cut-on wavenumber by the ovality, in units of the radius.
+    """Return the derivative of a squared cut-on wavenumber with respect to the ovality zeta.
 
-    Hadamard's formula for a rigid wall moved outwards by w is d(k^2) = -integral of w (k^2 psi^2 -
-    (grad psi)^2) over the wall, for psi of unit norm. With w = -zeta R cos 2 phi and psi = J_1 cos
-    phi it gives d(k^2) / k^2 = zeta (1 + 1/j'^2) / (1 - 1/j'^2), and the negative for sin phi. The
-    cut-ons of other modes than (1, n) shift by the ovality squared only.
+    The bore's radius R is 1. Hadamard's formula for a rigid wall moved outwards by w is d(k^2) =
+    -integral of w (k^2 psi^2 - (grad psi)^2) over the wall, for psi of unit norm. With w = -zeta R
+    cos 2 phi and psi = J_1 cos phi it gives d(k^2) / k^2 = zeta (1 + 1/j'^2) / (1 - 1/j'^2), and
+    the negative for sin phi. The cut-ons of other modes than (1, n) shift by the ovality squared
+    only.
     """
     if m != 1:
         return 0.0

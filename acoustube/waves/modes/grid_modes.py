@@ -3,7 +3,7 @@
 A straight part of the grid repeats one layer of cells, whose axial faces have the open fractions of
 its volumes. The modes of the layer then propagate without coupling: the amplitude of each obeys the
 scheme of a single line of cells. With Omega = omega dt, theta the phase per layer, nu = c dt / dz,
-k^2 the layer's eigenvalue times (c dt)^2 and s = 4 sin^2(Omega/2), X = 4 sin^2(theta/2),
+k^2 the layer's eigenvalue in 1/s2 times dt^2, s = 4 sin^2(Omega/2) and X = 4 sin^2(theta/2),
 
     s (1 + kappa h) = b (k^2 (1 - d h) + nu^2 X (1 + beta X) (1 - d_z h)).
 
@@ -56,8 +56,9 @@ class DuctModes:
     odd : ndarray of bool
         Whether each mode is antisymmetric about x = 0, (n_modes,).
     losses : dict of ndarray
-        kappa, d k^2 and d_z of each mode as ``compliance``, ``across`` and ``along``, (n_modes,);
-        empty without losses.
+        Loss coefficients of the modes by name, (n_modes,): with the symbols of the module's
+        docstring, ``compliance`` is kappa, ``across`` is d k^2 / dt^2 and ``along`` is
+        d_z (c / dz)^2. Empty without losses.
     """
 
     squares: Array
@@ -86,7 +87,8 @@ def duct_modes(
     whole : bool
         Whether the grid is that of the whole tube, rather than of the half x > 0.
     odd : bool
-        Whether the half is antisymmetric about x = 0.
+        Whether the scheme of a half is that of the modes antisymmetric about x = 0, with zero
+        pressure there; without effect for a whole tube.
 
     Returns
     -------
@@ -209,10 +211,11 @@ class Phases:
         Complex phase per layer: a wave over m layers is exp(-j theta m), for time dependence
         exp(+j omega t).
     slope : ndarray
-        Derivative of the axial term with respect to theta: the impedance of a source in one layer.
+        Derivative of the axial term of the module's dispersion relation, b nu^2 X (1 + beta X)
+        (1 - d_z h), with respect to theta: the impedance of a source in one layer.
     power : ndarray
-        The derivative without losses, to which the transmitted power is proportional; real where
-        the mode propagates, imaginary where it is evanescent.
+        Derivative of X (1 + beta X) without losses, to which the transmitted power is proportional;
+        real where the mode propagates, imaginary where it is evanescent.
     """
 
     theta: Complex

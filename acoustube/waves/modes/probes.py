@@ -15,7 +15,8 @@ from acoustube.waves.scheme.operator import on_device
 from acoustube.waves.scheme.problem import Setup
 
 CELLS_PER_RADIAN = 1.5
-"""Smallest number of cells per 1/k, at a mode's cut-on, for which the mode can be probed."""
+"""Smallest number of cells per 1/k for which a mode can be probed; k is the wavenumber in free air
+at the mode's cut-on."""
 
 
 class ModalProbe(NamedTuple):
@@ -60,6 +61,7 @@ def with_probes(setup: Setup, probes: tuple[Probe, ...], air: Air) -> Setup:
     setup : Setup
         Prepared with a plane at the position of each probe.
     probes : tuple of Probe
+        In the order of these planes.
     air : Air
 
     Raises
@@ -89,6 +91,15 @@ def _weights(probe: Probe, setup: Setup, layer: int, air: Air) -> Array:
 
 def named_mode(setup: Setup, layer: int, name: str, air: Air) -> tuple[DuctModes, int]:
     """Return the modes of a layer that the grid resolves, and the index of the named one.
+
+    Parameters
+    ----------
+    setup : Setup
+    layer : int
+        Index of a layer in a straight part.
+    name : str
+        Name of the mode; see `ModalProbe`.
+    air : Air
 
     Raises
     ------
@@ -135,7 +146,7 @@ def launching(setup: Setup, wave: Array, mode: str, air: Air) -> tuple[Setup, Ar
     setup : Setup
         Setup with an absorber before z = 0.
     wave : ndarray
-        Required amplitude at z = 0 at the ends of the steps, (n+1,).
+        Required amplitude of the mode at z = 0, at the start and at the end of each step, (n+1,).
     mode : str
         See `ModalProbe`.
     air : Air
@@ -143,15 +154,21 @@ def launching(setup: Setup, wave: Array, mode: str, air: Air) -> tuple[Setup, Ar
     Returns
     -------
     setup : Setup
+        Setup whose source has the shape of the mode.
     source : ndarray
-        Pressure increments, (n,).
+        Pressure increments in the unit of `wave`, one per step, (n,).
+
+    Raises
+    ------
+    ValueError
+        If the grid resolves no mode of that name.
 
     Notes
     -----
     A unit source in a layer radiates exp(-i theta n) / (i slope) over n layers in both directions,
-    with `slope` the theta derivative of the axial term. The increments are the wave divided by
-    this response at each frequency; at the cut-on, where the slope vanishes, they vanish too. The
-    source layer and its neighbours also have a near field of a few per cent.
+    with theta and slope of `grid_modes.Phases`. The increments are the wave divided by this
+    response at each frequency; at the cut-on, where the slope vanishes, they vanish too. The source
+    layer and its neighbours also have a near field of a few per cent.
     """
     modes, which = named_mode(setup, setup.source_layer, mode, air)
     # Padded against wrap-around: the filter's response decays slowly at a cut-on.

@@ -73,6 +73,11 @@ def modes_below(frequency: float, radius: float, sound_speed: float) -> list[Mod
     -------
     list of Mode
         In the order of their cut-ons, the plane mode first. A mode with m > 0 is a degenerate pair.
+
+    Raises
+    ------
+    ConfigError
+        If the bore's circumference is more than `MOST_WAVES` wavelengths.
     """
     highest = 2.0 * pi * frequency * radius / sound_speed
     if highest > MOST_WAVES:
@@ -93,7 +98,7 @@ def modes_below(frequency: float, radius: float, sound_speed: float) -> list[Mod
 
 @checked(band=Reals(0, 1e12, "Hz", last=2), radius=LENGTH, sound_speed=SPEED)
 def cut_ons_in_band(band: tuple[float, float], radius: float, sound_speed: float) -> list[Mode]:
-    """Return the modes whose cut-on lies in a band.
+    """Return the higher-order modes whose cut-on lies in a band.
 
     Near its cut-on, a small error decides whether a mode propagates.
 
@@ -108,9 +113,14 @@ def cut_ons_in_band(band: tuple[float, float], radius: float, sound_speed: float
     -------
     list of Mode
         In the order of their cut-ons.
+
+    Raises
+    ------
+    ConfigError
+        As :func:`modes_below`.
     """
     lowest, highest = band
-    return [m for m in modes_below(highest, radius, sound_speed) if m.cut_on >= lowest > 0.0]
+    return [m for m in modes_below(highest, radius, sound_speed) if 0.0 < m.cut_on >= lowest]
 
 
 @checked(
@@ -128,10 +138,10 @@ def axial_wavenumber(
     Parameters
     ----------
     m, n : int
-        Mode; (0, 0) is the plane mode.
+        Numbers of nodal diameters and of nodal circles; (0, 0) is the plane mode.
     frequency : array_like
-        In Hz. With a negative imaginary part, spectra are those of signals times a decaying
-        exponential.
+        In Hz, real or complex. With a negative imaginary part, spectra are those of signals times a
+        decaying exponential.
     radius : float
         Bore radius in m.
     air : Air
@@ -144,6 +154,11 @@ def axial_wavenumber(
     ndarray
         kz in 1/m, of the shape of `frequency`. The attenuation in Np/m is minus its imaginary part.
         Below cut-on kz is imaginary, except for the effect of losses.
+
+    Raises
+    ------
+    ValueError
+        If there is no such mode: m is negative, or n < 1 except in (0, 0).
 
     Notes
     -----
@@ -211,7 +226,7 @@ def attenuation(m: int, n: int, frequency: float, radius: float, air: Air) -> fl
     Parameters
     ----------
     m, n : int
-        Mode; (0, 0) is the plane mode.
+        Numbers of nodal diameters and of nodal circles; (0, 0) is the plane mode.
     frequency : float
         In Hz.
     radius : float
@@ -222,5 +237,11 @@ def attenuation(m: int, n: int, frequency: float, radius: float, air: Air) -> fl
     Returns
     -------
     float
+        In Np/m; below cut-on that of the evanescent wave.
+
+    Raises
+    ------
+    ValueError
+        If there is no such mode.
     """
     return -float(axial_wavenumber(m, n, frequency, radius, air).imag)

@@ -43,6 +43,11 @@ class YieldingWall:
         In kg/m3.
     loss_factor : float
         Ratio of the imaginary to the real part of the shear modulus.
+
+    Raises
+    ------
+    ConfigError
+        If thickness, modulus or density is not positive, or the loss factor not from 0 to 10.
     """
 
     thickness: float = 1.6e-3
@@ -62,7 +67,7 @@ class YieldingWall:
 def wall_compliance(
     frequency: ArrayLike, wavenumber: ArrayLike, radius: float, wall: YieldingWall
 ) -> Complex:
-    """Return the radial displacement of the inner wall per pressure in the bore.
+    """Return the outward radial displacement of the inner wall per pressure in the bore.
 
     Parameters
     ----------
@@ -79,14 +84,19 @@ def wall_compliance(
     ndarray
         In m/Pa, for exp(+j omega t - j k z), (n,).
 
+    Raises
+    ------
+    ConfigError
+        If a frequency or the radius is not positive and finite.
+
     Notes
     -----
-    In an incompressible wall the pressure P is harmonic, with solutions ``I0(k r)`` and
-    ``K0(k r)``, and displaces the wall by ``grad P / (rho omega^2)``. Shear waves have the
-    solutions ``I1(s r)`` and ``K1(s r)`` with ``s^2 = k^2 - rho omega^2 / mu``. The four amplitudes
-    follow from the tractions on both faces: the pressure on the inner face, none on the outer. For
-    long waves the ratio of pressure to displacement is that of a ring,
-    ``a (2 mu (1/a^2 - 1/b^2) - omega^2 rho ln(b/a))``.
+    The wall extends from the inner radius a to the outer radius b. In an incompressible wall the
+    pressure P is harmonic, with solutions ``I0(k r)`` and ``K0(k r)``, and displaces the wall by
+    ``grad P / (rho omega^2)``. Shear waves have the solutions ``I1(s r)`` and ``K1(s r)`` with
+    ``s^2 = k^2 - rho omega^2 / mu``. The four amplitudes follow from the tractions on both faces:
+    the pressure on the inner face, none on the outer. For long waves the ratio of pressure to
+    displacement is that of a ring, ``a (2 mu (1/a^2 - 1/b^2) - omega^2 rho ln(b/a))``.
     """
     omega = 2 * pi * np.atleast_1d(np.asarray(frequency, float))
     k = np.atleast_1d(np.asarray(wavenumber, complex))
@@ -162,7 +172,8 @@ def yielding_wavenumber(
 
     Notes
     -----
-    With the wavenumber k0 between rigid walls and the displacement u per pressure,
+    With the radius a, the wavenumber k0 between rigid walls, the density rho of the air and the
+    displacement u per pressure of :func:`wall_compliance`,
     ``kz^2 = k0^2 + 2 rho omega^2 u(kz) / a``: the section yields to the pressure, which is uniform
     over it. Above the wall's resonance, 1.5 kHz in the sleeve paper's tube, the wall's inertia
     raises the phase velocity and lowers the group velocity.

@@ -223,12 +223,7 @@ def _update_pressure(lossy, fields, following, moved, middle, x, y, begin, end):
 def _pml_step(operator, layer, q, following, change, first, x, y):  # type: ignore[no-untyped-def]
     """Advance an absorber's column, as `pml.pml_step`."""
     i, j, n = x + _ONE, y + _ONE, np.uint64(layer.cells.shape[1])
-    faces, velocity, memory, weight = (
-        layer.faces,
-        layer.velocity,
-        layer.face_memory,
-        operator.weight,
-    )
+    faces, velocity, memory = layer.faces, layer.velocity, layer.face_memory
     if n == _NONE:
         return
     for f in range(n + _THREE):

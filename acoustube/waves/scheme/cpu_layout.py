@@ -26,11 +26,11 @@ class Columns(NamedTuple):
     place : ndarray
         Indices x and y of each column, (n, 2).
     first : ndarray
-        First span of each column, (n+1,).
+        Index of the first span of each column, and at the end the number of spans, (n+1,).
     spans : ndarray
         First layer, last layer plus one, and `CORE` or `CUT`, (n_spans, 3).
     bounds : ndarray
-        First column of each thread, (n_threads+1,).
+        Index of the first column of each thread, and the number of columns, (n_threads+1,).
     """
 
     place: Integers
@@ -62,7 +62,7 @@ class Stencil(NamedTuple):
 
 
 class LossCoefficients(NamedTuple):
-    """Coefficients of the losses, as in `losses.Losses`; without losses all are empty.
+    """Coefficients of the losses, as in `losses.Losses`; without losses all are empty or zero.
 
     Attributes
     ----------
@@ -149,13 +149,14 @@ class SourceAndProbes(NamedTuple):
     shape : ndarray
         Shape of the source over its layer, (nx, ny).
     keep : ndarray
-        Factor of the source layer's pressure, (1,): 0 if the source replaces it, 1 if it is added.
+        Factor of the source layer's pressure, (1,): 0 if the source replaces the pressure, 1 if it
+        is added to the pressure.
     layer : int
         Index of the source layer.
     planes : ndarray
         Probed layers, (n_planes,).
     plane_of : ndarray
-        First probe of each plane, (n_planes+1,).
+        Index of the first probe of each plane, and the number of probes, (n_planes+1,).
     weights : ndarray
         (nx, ny, n_probes), the probes in the order of their planes.
     """

@@ -52,7 +52,7 @@ MOST_THREADS = 4
 
 
 class CompiledMarcher:
-    """A state that is advanced in place.
+    """State of a run, advanced in place by compiled code on several threads.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class CompiledMarcher:
     state : State
         Initial state; it is not changed.
     n_threads : int, optional
-        See `default_threads`.
+        Number of threads; by default that of `default_threads`.
     """
 
     def __init__(self, setup: Setup, state: State, n_threads: int | None = None) -> None:

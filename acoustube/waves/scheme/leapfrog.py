@@ -52,7 +52,7 @@ def initial_state(setup: Setup, pressure: ArrayLike) -> State:
     setup : Setup
         The discrete problem.
     pressure : (nx, ny, nz) array_like
-        In Pa, on the grid with its absorbers, in which it should vanish.
+        In Pa, on the grid with its absorbers; it should be zero in the absorbers.
 
     Returns
     -------
@@ -91,7 +91,8 @@ def march(
     state : State
         Initial state.
     source : ndarray
-        Source signal: the values to which the source layer is set, or increments, (n,).
+        Source signal, (n,): with a release end the pressures to which the source layer is set, with
+        an absorbing end the increments of its pressure.
     layers : ndarray of int, optional
         Number of layers, from the first, that have to be advanced in each step, (n,), such as those
         from `audible_layers`; all by default. Only the compiled implementation omits the others,
@@ -111,7 +112,8 @@ def march(
     Raises
     ------
     SimulationError
-        If the pressure is no longer finite.
+        If the pressure is no longer finite, or a thread of the compiled implementation cannot be
+        started.
     """
     marcher = _marcher(setup, state, compiled)
     records = []
@@ -221,7 +223,7 @@ def run_chunk(
     -------
     state : State
     record : array of shape (n_steps, n_probes)
-        Pressures at the probes after each step.
+        Pressure at each probe after each step.
     """
     step = partial(_step, scheme, source_layer)
     fields, record = lax.scan(step, _fields(state, scheme), source, unroll=UNROLL)
@@ -289,7 +291,7 @@ def _replace_ends(first: jax.Array | None, middle: jax.Array, end: jax.Array | N
 def _absorber_step(
     layer: Absorber | None, first: int, around: jax.Array, scheme: Scheme
 ) -> tuple[Absorber | None, jax.Array | None]:
-    """Advance an absorber, or None, and return the pressure change of its cells."""
+    """Return an absorber after a step and the pressure change of its cells; None for None."""
     if layer is None:
         return None, None
     near, local = _window(around, scheme.operator, first, layer.transverse.shape[2])

@@ -10,17 +10,19 @@ capacities and s = d/dt. To first order in the layer's thickness [2]_,
 
 Without the velocities, and with y = s^(-1/2) p,
 
-    s^2 p + (gamma - 1) S sqrt(nu_t) s^2 y = c^2 div grad p - c^2 div (S sqrt(nu) grad_t y).
+    s^2 p + (gamma - 1) S sqrt(nu_t) s^2 y = c^2 div grad p - c^2 div (S sqrt(nu) grad_t y),
+
+where grad_t is the gradient along the wall.
 
 `half_integral` approximates s^(-1/2) over a band by first-order relaxations with positive weights,
 a passive model of the fractional derivative [3]_. The scheme advances each by the trapezoidal rule.
 The dissipation is then positive at every frequency, on any grid: the real part of the response of y
 to p, times the frequency, has one sign. At zero frequency the scheme is stable as long as S
 sqrt(nu) times the value of the sum of relaxations at s = 0 is less than one; without a bound on S
-the viscous boundary condition is ill-posed in the time domain [4]_. In a gap of a few layers S is
-about twice the inverse of the gap, and may exceed this bound: the static stiffness would be
-negative, and pressures of alternating sign would grow. Therefore S sqrt(nu) is limited to
-`LARGEST_DRAG` over the value of the sum. Each face's term, with weights w and rates r,
+the viscous boundary condition is ill-posed in the time domain [4]_. In a gap of a few boundary
+layers S is about two over the height of the gap, and S sqrt(nu) may exceed this bound: the static
+stiffness would be negative, and pressures of alternating sign would grow. Therefore S sqrt(nu) is
+limited to `LARGEST_DRAG` over the value of the sum. Each face's term, with weights w and rates r,
 
     1 - S sqrt(nu) sum w / (s + r) = 1 - S sqrt(nu) sum w / r + S sqrt(nu) sum (w / r) s / (s + r),
 
@@ -167,7 +169,7 @@ def losses(
     band : tuple of float
         Lowest and highest frequency in Hz over which the wall's losses are fitted.
     weight : ndarray, optional
-        Weight of the losses in each layer of cells, from 0 to 1, (nz,).
+        Weight of the losses in each layer of cells, from 0 to 1, (nz,); 1 by default.
     dtype : dtype
         Precision.
 

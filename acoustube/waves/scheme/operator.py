@@ -2,7 +2,8 @@
 
 Notes
 -----
-Mass balance and momentum on a staggered grid [1]_, [2]_ are, per cell and face,
+Mass balance and momentum on a staggered grid [1]_, [2]_ are, per cell of open volume V and face of
+open area A and velocity u,
 
     V dp/dt = -rho c^2 sum(A u),    rho du/dt = -grad p.
 
@@ -19,9 +20,10 @@ Expanded with Omega = nu theta, 1 - nu^2 theta^2/12 = (1 - theta^2/12)(1 + beta 
     beta = (1 - nu^2) / 12
 
 removes the second-order dispersion of space and time together. To that order, this is the symmetric
-stencil D' M' A M D with M = 1 - (beta/2) D2^2, but it takes one pass and is consistent at slanted
-walls: N vanishes next to a closed face, so that there is no flow through it. The operator is
-self-adjoint and negative semidefinite for any areas, so that the discrete energy is conserved.
+stencil D' M' A M D, with the differences D between cells and M = 1 - (beta/2) D2^2, but it takes
+one pass and is consistent at slanted walls: N vanishes next to a closed face, so that there is no
+flow through it. The operator is self-adjoint and negative semidefinite for any areas, so that the
+discrete energy is conserved.
 
 References
 ----------
@@ -58,8 +60,9 @@ class Operator(NamedTuple):
     inverse_volume : Array
         1 / volume fraction, 0 in the wall, (nx, ny, nz).
     area_x, area_y, area_z : Array
-        Open face fractions times (c / h)^2 in 1/s2, shapes (nx+1, ny, nz), (nx, ny+1, nz) and,
-        with a closed face added at both ends, (nx, ny, nz+3).
+        Open face fractions times (c / h)^2 in 1/s2, with the cell size h along the face's normal.
+        Shapes (nx+1, ny, nz), (nx, ny+1, nz) and, with a closed face added at both ends,
+        (nx, ny, nz+3).
     beta : Array
         Coefficient of the axial correction, scalar.
     """
@@ -72,12 +75,12 @@ class Operator(NamedTuple):
 
 
 def dispersion_coefficient(cells: CutCells, air: Air, time_step: float) -> float:
-    """Return beta = (1 - nu^2) / 12, which cancels the plane wave's dispersion."""
+    """Return beta = (1 - nu^2) / 12, which cancels the plane wave's dispersion; time step in s."""
     return (1.0 - (air.sound_speed * time_step / cells.spacing[2]) ** 2) / 12.0
 
 
 def assemble(cells: CutCells, air: Air, beta: float, *, dtype: DTypeLike = jnp.float32) -> Operator:
-    """Assemble the operator.
+    """Assemble the coefficients of c^2 div grad on a grid.
 
     Parameters
     ----------
@@ -170,7 +173,7 @@ def laplacian(pressure: jax.Array, operator: Operator) -> jax.Array:
 
 
 def transverse_divergence(pressure: jax.Array, area_x: jax.Array, area_y: jax.Array) -> jax.Array:
-    """Return the divergence of A dp over the transverse faces, (nx, ny, nz)."""
+    """Return the divergence of area times pressure difference across the tube, (nx, ny, nz)."""
     inner = pressure[:, :, 2:-2]
     flux_x = area_x * (inner[1:, 1:-1] - inner[:-1, 1:-1])
     flux_y = area_y * (inner[1:-1, 1:] - inner[1:-1, :-1])

@@ -47,7 +47,8 @@ have the same velocities at their interface."""
 GRADING_EXPONENT = 3
 """Exponent of the profiles of sigma and kappa over depth; a jump would reflect."""
 REFLECTION = 1e-12
-"""Reflection coefficient of a plane wave in the continuum; near cut-on it is a power of this."""
+"""Reflection coefficient R of a plane wave in the continuum. That of a mode of axial wavenumber kz
+is R^(kz / k), and therefore larger near its cut-on."""
 LARGEST_KAPPA = 4.0
 """Stretch kappa at the back, which shortens evanescent modes."""
 LARGEST_ALPHA = 2.0 * pi * 2e3
@@ -87,7 +88,7 @@ class Absorber(NamedTuple):
 
 
 def absorber_layers(thickness: float, axial_spacing: float) -> int:
-    """Return the number of cell layers of an absorber."""
+    """Return the number of cell layers of an absorber, undamped ones included; lengths in m."""
     return UNDAMPED_LAYERS + ceil(thickness / axial_spacing - 1e-9)
 
 
@@ -140,7 +141,7 @@ def absorber(
 def _recursion(
     depth: Array, thickness: float, time_step: float, sound_speed: float
 ) -> tuple[Array, Array, Array]:
-    """Return b, a and 1 / kappa at depths behind the layer's front."""
+    """Return b, a and 1 / kappa at depths in m behind the layer's front."""
     relative = np.clip(depth / thickness, 0.0, 1.0)
     # The two-way attenuation exp(-2/c int sigma dz) of a plane wave is REFLECTION.
     strongest = -(GRADING_EXPONENT + 1) * sound_speed * log(REFLECTION) / (2.0 * thickness)

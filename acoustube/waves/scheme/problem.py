@@ -140,7 +140,7 @@ def prepare(
     far_end : {"absorbing", "rigid"}
         Straight continuation into an absorber, or a rigid cap at z = L.
     absorber_thickness : float
-        In m.
+        Thickness of the absorbing layer at an absorbing end, in m.
     time_step : float, optional
         In s; by default just below the limit of stability (:func:`marching_step`).
     lossy_band : tuple of float, optional
@@ -156,7 +156,8 @@ def prepare(
     Raises
     ------
     ValueError
-        If an end is unknown or a probe lies outside the tube.
+        If an end is unknown, a probe lies outside the tube, the grid has no open cell, or the lossy
+        band is not positive and increasing.
     """
     Choice(get_args(SourceEnd)).check("source_end", source_end)
     Choice(get_args(FarEnd)).check("far_end", far_end)

@@ -25,6 +25,11 @@ class Pulse:
     cycles : float
         Duration of the window in carrier cycles.
 
+    Raises
+    ------
+    ConfigError
+        If the frequency is not positive, or the number of cycles not from 0.1 to 10 000.
+
     Notes
     -----
     s(t) = exp(-(t - T/2)^2 / (2 sigma^2)) sin(2 pi f (t - T/2)) for 0 <= t <= T = cycles / f, else
@@ -63,13 +68,22 @@ class Pulse:
         Parameters
         ----------
         level : float
-            In dB below the spectrum's peak, negative.
+            In dB relative to the spectrum's peak, negative.
 
         Returns
         -------
         lowest, highest : float
-            Frequencies in Hz. The spectrum is exp(-(2 pi sigma (f - f0))^2 / 2), neglecting the
-            truncation of the envelope.
+            Ends of the band in Hz; the lower is 0 or more.
+
+        Raises
+        ------
+        ValueError
+            If the level is not negative.
+
+        Notes
+        -----
+        The truncation of the envelope is neglected: at a frequency that differs by d from the
+        carrier's, the spectrum relative to its peak is exp(-(2 pi sigma d)^2 / 2).
         """
         if not level < 0.0:
             raise ValueError(f"level = {level} dB must be negative")
@@ -88,6 +102,11 @@ class SampledPulse:
         Samples from t = 0, (n,).
     rate : float
         Samples per second.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than four samples, a sample is not finite, or the rate not positive.
 
     Notes
     -----
@@ -120,7 +139,7 @@ class SampledPulse:
 
 
 def check_pulse(pulse: object, duration: float) -> None:
-    """Validate that a pulse is a function of time, not longer than the run."""
+    """Raise ValueError unless a pulse is a function of time, not longer than the run (in s)."""
     if not callable(pulse):
         raise ConfigError(
             "is not a function of time", setting="pulse", value=pulse, advice="use Pulse"
@@ -129,7 +148,7 @@ def check_pulse(pulse: object, duration: float) -> None:
 
 
 def check_duration(pulse: object, duration: float) -> None:
-    """Validate that a pulse is not longer than the run."""
+    """Raise ValueError if a pulse is longer than the run (in s); one without `duration` passes."""
     lasting = float(getattr(pulse, "duration", 0.0))
     if lasting > duration:
         raise ValueError(

@@ -19,7 +19,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.waves.grid.polyhedron import Array
 
 ACCURACY = 3e-3
-"""Largest relative error of the half-integral over the band."""
+"""Relative error of the half-integral, over the band, below which no relaxation is added."""
 MOST_POLES = 10
 """Largest number of relaxations."""
 FIT_POINTS = 200
@@ -44,7 +44,9 @@ class HalfIntegral:
 
 
 def half_integral(band: tuple[float, float]) -> HalfIntegral:
-    """Return the approximation of the half-integral with the fewest relaxations.
+    """Return the approximation of the half-integral with the fewest relaxations that suffice.
+
+    Its error is below `ACCURACY`, or that of `MOST_POLES` relaxations if these do not suffice.
 
     Parameters
     ----------

@@ -26,14 +26,14 @@ from acoustube.waves.scheme.operator import (
 SAFETY = 0.98
 """Ratio of the time step to its stability limit; it covers the error of the Lanczos value."""
 ITERATIONS = 40
-"""Number of Lanczos steps."""
+"""Largest number of Lanczos steps."""
 LANCZOS_LAYERS = 32
 """Number of layers kept at each end of a straight part for the computation of the eigenvalue."""
 
 
 @checked(cells=CutCells, air=Air)
 def stable_step(cells: CutCells, air: Air) -> float:
-    """Return the default time step of `propagate`.
+    """Return the default time step of `propagate` in s, just below the limit of stability.
 
     Parameters
     ----------
@@ -47,12 +47,17 @@ def stable_step(cells: CutCells, air: Air) -> float:
     float
         0.98 of the stability limit in s; that of `propagate` may differ from it by 0.1 %, because
         the absorbers lengthen the grid.
+
+    Raises
+    ------
+    ValueError
+        If the grid has no open cell.
     """
     return marching_step(share_small_volumes(cells), air)
 
 
 def marching_step(cells: CutCells, air: Air) -> float:
-    """Return 0.98 of the leapfrog limit 2 / sqrt(largest eigenvalue).
+    """Return the time step, 0.98 of the leapfrog scheme's limit 2 / sqrt(largest eigenvalue).
 
     Parameters
     ----------
@@ -68,9 +73,10 @@ def marching_step(cells: CutCells, air: Air) -> float:
 
     Notes
     -----
-    The operator's axial correction beta = (1 - nu^2)/12 depends on the step, and the largest
-    eigenvalue grows with beta. The step for the bound beta = 1/12 is therefore stable. So is the
-    longer step for the beta of that step, because its own beta is smaller still.
+    The operator's axial correction beta = (1 - nu^2)/12, with the axial Courant number nu, depends
+    on the step, and the largest eigenvalue grows with beta. The step for the bound beta = 1/12 is
+    therefore stable. So is the longer step for the beta of that step, because its own beta is
+    smaller still.
     """
     step = 0.0
     # Shortening a straight part to this length reduces the axial term by a relative 6e-4.
@@ -152,7 +158,8 @@ def _lanczos(
 def _gershgorin(operator: Operator) -> jax.Array:
     """Return Gershgorin's bound of the eigenvalues: twice the open faces over the volume.
 
-    The axial correction beta D2' N D2 is at most 4 beta A, because N never exceeds A.
+    The axial correction beta D2' N D2 (see `operator`) is at most 4 beta A, because N never exceeds
+    A.
     """
     x, y, z = operator.area_x, operator.area_y, operator.area_z[:, :, 1:-1]
     axial = (1.0 + 4.0 * operator.beta) * (z[:, :, 1:] + z[:, :, :-1])

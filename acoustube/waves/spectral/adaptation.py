@@ -1,4 +1,4 @@
-"""Adaptation of degree and elements to an error tolerance, and the remaining error."""
+"""Adaptation of the basis (degree and elements) to an error tolerance, and the remaining error."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from acoustube.waves.spectral.walls import Wall
 
 MAX_DEGREE = 16
 ADAPTATION_SHIFTS = (0.5, 0.8, 1.0)
-"""Shifts at which the basis is adapted, as fractions of the index range."""
+"""Indices of the shifts at which the basis is adapted, as fractions of the last index."""
 COARSE_ERROR_RATIO = 30.0
 """Ratio of error to tolerance above which the degree is raised by 4 instead of 2."""
 MAX_ADAPTATIONS = 8
@@ -36,7 +36,7 @@ class Adapted(NamedTuple):
     system : Discretisation
     basis : Basis
     responses : dict
-        Responses by squared wavenumber in 1/m2.
+        Responses by squared wavenumber in 1/m2, one for each parity along z.
     """
 
     system: Discretisation
@@ -82,7 +82,7 @@ def adapted(
     *,
     lossy: bool,
 ) -> Adapted:
-    """Raise the degree and split elements until their errors at test shifts are within tolerance.
+    """Raise the degree and split elements until both errors at test shifts are within tolerance.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def adapted(
     basis : Basis
         Initial basis.
     wanted : float
-        Tolerance of the error by degree, and of that by elements.
+        Tolerance of the error by degree, and of that by all elements.
     known : Adapted or None
         Previous result, whose responses include all shifts of the basis.
 
@@ -132,13 +132,13 @@ def _probes(shifts: Array) -> Array:
 def truncation_ratio(
     system: Discretisation, responses: dict[float, list[Response]], k: Array
 ) -> Array:
-    """Return the ratio of the error by degree and elements to the change by corrections, (n,).
+    """Return the ratio of the truncation error of S to its change by the corrections, (n,).
 
     Parameters
     ----------
     system : Discretisation
     responses : dict
-        Responses by squared wavenumber in 1/m2.
+        Responses by squared wavenumber in 1/m2, in rising order.
     k : ndarray
         Wavenumbers in 1/m, (n,).
     """
@@ -154,7 +154,7 @@ def truncation_ratio(
 
 
 def _errors(system: Discretisation, responses: dict[float, list[Response]]) -> tuple[float, Array]:
-    """Return the largest changes of S by a higher degree across, and along each element."""
+    """Return the largest change of S by a higher degree across, and those along each element."""
     corrections = {
         shift: [np.concatenate([side.by_degree[None], side.by_element]) for side in sides]
         for shift, sides in responses.items()

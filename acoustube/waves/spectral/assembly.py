@@ -1,7 +1,8 @@
 """Stiffness and mass of a lumen in polynomials across it and line elements along it.
 
 In an element the pressure is a sum of L_j(z) P_i(X, Y), with X = (x - x0(z)) / a(z) and
-Y = (y - y0(z)) / b(z). Its derivative along the tube at fixed x and y is
+Y = (y - y0(z)) / b(z): the box of a section has the centre (x0, y0), half width a and half height
+b. The derivative along the tube at fixed x and y is
 
     d/dz (L_j P_i) = L_j' P_i + L_j B P_i,
     B = -(x0'/a) d_X - (a'/a) X d_X - (y0'/b) d_Y - (b'/b) Y d_Y,
@@ -10,8 +11,8 @@ again in the span of the P_i, so that
 
     K = int grad p . grad q dV,    M = int p q dV
 
-require only the sections' Gram matrices int P_i P_k dx dy. Within an element the box is a
-polynomial through the extent of the wall at Gauss-Lobatto points, and is therefore continuous along
+require only the sections' Gram matrices int P_i P_k dx dy. Within an element x0, a, y0 and b are
+polynomials through the extent of the wall at Gauss-Lobatto points, and therefore continuous along
 the tube.
 """
 
@@ -42,10 +43,16 @@ BOX_POINTS = 5
 class Sections(NamedTuple):
     """Gram matrices of the sections at all points along a lumen, (n_points, n, n) each.
 
+    P is the column of the functions P_i, and B P that of their z derivatives at fixed L_j.
+
     Attributes
     ----------
-    mass, along, across : ndarray
-        int P P^T in m2, int P (B P)^T in m and int grad P . grad P^T, with gradients at fixed L_j.
+    mass : ndarray
+        int P P^T dx dy, in m2.
+    along : ndarray
+        int P (B P)^T dx dy, in m.
+    across : ndarray
+        int grad P . grad P^T dx dy, dimensionless, where grad P has the z component B P.
     """
 
     mass: Array
@@ -54,7 +61,10 @@ class Sections(NamedTuple):
 
 
 class Boxes(NamedTuple):
-    """Boxes around sections, (n_sections,) each, in m, and their derivatives along the tube."""
+    """Boxes around sections, (n_sections,) each, and their z derivatives (`_z`), dimensionless.
+
+    (x0, y0) is the centre, a the half width and b the half height, in m.
+    """
 
     x0: Array
     a: Array
@@ -75,9 +85,9 @@ class Elements:
     stiffness, mass : ndarray
         (n_elements, size, size), in m and m3; see :class:`Layout`.
     first, last : ndarray
-        Bounding box of the section at each end: centre and half width in x, then in y, in m, (4,).
+        Boxes of the sections at the first and at the last edge: x0, a, y0, b in m, (4,).
     sections : Sections
-        Gram matrices of the polynomials of the basis.
+        Gram matrices of the polynomials of the basis, without those of the enriched one.
     """
 
     stiffness: Array
@@ -96,6 +106,7 @@ def assemble(wall: Wall, rule: AxialRule, basis: Polynomials, layout: Layout) ->
     rule : AxialRule
         Quadrature along the elements.
     basis : Polynomials
+        Polynomials of the enriched basis.
     layout : Layout
 
     Returns
@@ -112,10 +123,11 @@ def assemble(wall: Wall, rule: AxialRule, basis: Polynomials, layout: Layout) ->
 
 
 class Layout(NamedTuple):
-    """Order of the unknowns of an element: those of the basis, then those of the enriched one.
+    """Order of the unknowns of an element: those of the basis, then the further ones.
 
-    The basis has the functions L_j P_i with j <= `order`, i < `n`; the enriched one in addition
-    those with i >= `n`, and then those with j = `order` + 1, i < `n`.
+    The basis has the functions L_j P_i with j <= `order`, i < `n`. The enriched basis has in
+    addition those with j <= `order`, i >= `n`, and then those with j = `order` + 1, i < `n`. In
+    each of the three groups i varies fastest.
 
     Attributes
     ----------
@@ -145,7 +157,7 @@ class Layout(NamedTuple):
         return self.n_basis + self.n_higher + self.n
 
     def end(self, j: int) -> Index:
-        """Return the indices of the unknowns of an end, j = 0 or 1, for all functions across."""
+        """Return the indices (n_all,) of the unknowns at the low (j = 0) or high (j = 1) end."""
         more = self.n_all - self.n
         return np.concatenate(
             [j * self.n + np.arange(self.n), self.n_basis + j * more + np.arange(more)]
@@ -154,7 +166,10 @@ class Layout(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _places(layout: Layout) -> Index:
-    """Return the flat indices of an element's entries in an array of (n_j, n_j, n_all, n_all)."""
+    """Return the flat indices (size, size) of an element's entries in an array over j, k, i, m.
+
+    The array has the shape (order + 2, order + 2, n_all, n_all), for L_j P_i times L_k P_m.
+    """
     n, n_all, n_j = layout.n, layout.n_all, layout.order + 1
     low, high = np.arange(n), np.arange(n, n_all)
     rows = [(j, i) for part in (low, high) for j in range(n_j) for i in part]
@@ -166,20 +181,23 @@ def _places(layout: Layout) -> Index:
 def along_elements(
     rule: AxialRule, layout: Layout, slopes: Array | None, mixed: Array | None, values: Array
 ) -> Array:
-    """Integrate products of the functions L_j and of their slopes along elements.
+    """Integrate products of the functions L_j and of their z derivatives L_j' along elements.
 
     Parameters
     ----------
     rule : AxialRule
     layout : Layout
-    slopes, mixed, values : ndarray
-        Factors of L_j' L_k', of L_j' L_k (and of its mirror image) and of L_j L_k at all points,
-        (n_points, n_all, n_all); the first two may be None.
+    slopes : ndarray or None
+        Factors of L_j' L_k' at all points, (n_points, n_all, n_all).
+    mixed : ndarray or None
+        Factors of L_j' L_k, of the shape of `slopes`; their transposes are those of L_j L_k'.
+    values : ndarray
+        Factors of L_j L_k, of the same shape.
 
     Returns
     -------
     ndarray
-        (n_elements, size, size).
+        Element matrices, (n_elements, size, size).
     """
     n_j = layout.order + 2
     value, slope = lobatto(n_j - 1, rule.point)
@@ -208,7 +226,10 @@ def along_elements(
 
 
 def element_boxes(wall: Wall, rule: AxialRule) -> tuple[Boxes, Array, Array]:
-    """Return the bounding boxes of the sections at a rule's points, and at both ends."""
+    """Return the boxes of the sections at a rule's points, and those at the first and last edge.
+
+    Each of the latter two is x0, a, y0, b in m, (4,).
+    """
     nodes = gauss_lobatto(BOX_POINTS)
     step = rule.step
     z = (rule.edges[:-1, None] + step[:, None] * (nodes + 1) / 2).ravel()

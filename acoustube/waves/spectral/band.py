@@ -1,4 +1,4 @@
-"""Solution over a band: fields at the shifts, and their span at all frequencies."""
+"""Solution over a band: fields at the shifts, and a Galerkin solution in their span."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from acoustube.waves.spectral.ports import (
 from acoustube.waves.spectral.reduction import Reduced, corrected, extended, impedance
 
 ADAPTATION_TOLERANCE = 0.25
-"""Tolerance of the error of the shifts, which costs little, as a fraction of the whole tolerance.
-"""
+"""Largest error of the shifts, as a fraction of the whole tolerance. It is small, because reducing
+this error costs little."""
 EXTRA_BLOCKS = {False: 2, True: 3}
-"""Number of blocks of the Krylov space at an added shift, without and with losses: most of the
-space is in the span of the others."""
+"""Number of blocks of the Krylov space at an added shift, without and with losses. Few suffice,
+because most of that space is in the span of the other shifts' blocks."""
 MAX_ROUNDS = 6
 """Largest number of rounds in which shifts are added."""
 NEAREST = 0.1
-"""Smallest distance of a new shift from its neighbours, relative to the interval between them."""
+"""Smallest distance of a new shift from its neighbours, relative to the distance between these."""
 
 
 def swept(
@@ -41,17 +41,18 @@ def swept(
     k: Array,
     tolerance: float,
 ) -> tuple[list[Reduced], Complex, tuple[Array, Array], list[int]]:
-    """Return the largest space per parity, S, its errors, and space sizes before the last shifts.
+    """Return reduced spaces, S, its two errors, and the spaces' sizes before the last new shifts.
 
-    The errors are the change of S by the corrections, and the error of the shifts, (n,) each.
+    There are one space and one size for each parity along z. The errors are the change of S by the
+    corrections, and the error of the shifts, (n,) each. `responses` receives those at all shifts.
 
     Notes
     -----
     The error of a space of m blocks at each shift is first extrapolated from the change d of S by
     the last block, as d^(m / (m - 1)): the error falls by the same factor with each block. A shift
     is then added in each interval between shifts in which this error is too large, and in one
-    interval at least. The change by an added shift replaces the extrapolation in its interval only,
-    because it does not indicate errors elsewhere.
+    interval at least. In the intervals with a new shift, the change of S by the new shifts replaces
+    the error. Elsewhere that change does not show the error: the larger of the two is kept.
     """
     lossy, limit = system.layers is not None, ADAPTATION_TOLERANCE * tolerance
     blocks = KRYLOV_BLOCKS[lossy]
@@ -100,7 +101,7 @@ def _extended(
 def _doubtful(
     k: Array, doubt: Array, shifts: Array, limit: float
 ) -> tuple[list[float], NDArray[np.bool_]]:
-    """Return new shifts, one in each interval with too large an error, and the tested wavenumbers.
+    """Return new shifts, one in each interval with too large an error, and a mask of wavenumbers.
 
     Parameters
     ----------
@@ -118,7 +119,7 @@ def _doubtful(
     more : list of float
         New shifts in 1/m2, at least one.
     tested : ndarray of bool
-        Whether each wavenumber is in an interval with a new shift, (n,).
+        Mask of the wavenumbers in intervals with a new shift, (n,).
     """
     borders = np.concatenate([[0.0], shifts, [max(shifts[-1], k[-1] ** 2) * (1 + 1e-12)]])
     interval = np.searchsorted(shifts, k**2)

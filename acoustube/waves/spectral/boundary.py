@@ -12,8 +12,8 @@ from acoustube.waves.spectral.quadrature import AxialRule
 from acoustube.waves.spectral.walls import Contours, Wall
 
 WALL_DEGREE = 4
-"""Degree that determines the number of quadrature points round the tube. It is low, because the
-integrals are small corrections."""
+"""Default degree of polynomials that determines the number of quadrature points round the tube, for
+the derivatives of stiffness and mass by motions of the wall."""
 
 
 class WallPoints(NamedTuple):
@@ -22,7 +22,7 @@ class WallPoints(NamedTuple):
     Attributes
     ----------
     rule : AxialRule
-        Heights of the sections, with weights.
+        Coordinates z of the sections, with weights.
     contours : Contours
     boxes : Boxes
     normal : ndarray
@@ -30,7 +30,7 @@ class WallPoints(NamedTuple):
     area : ndarray
         Wall area of each point per length along z, in m, (n_sections, n_points).
     halved : bool
-        Whether the points are those of x > 0, and represent their mirror images too.
+        Whether the points are those of x > 0 only, with weights that include the mirror images.
     sealing_gap : float
         Height in m of a gap that is half sealed; see `layers.SEALING_WIDTH`.
     """
@@ -45,7 +45,10 @@ class WallPoints(NamedTuple):
 
 
 class WallFunctions(NamedTuple):
-    """The polynomials and their gradients at points of a wall, (n_sections, n, n_points) each."""
+    """The n polynomials across, and their derivatives in 1/m, at points of a wall.
+
+    Each is (n_sections, n, n_points). The z derivative `p_z` is that at fixed L_j.
+    """
 
     p: Array
     p_x: Array
@@ -54,7 +57,10 @@ class WallFunctions(NamedTuple):
 
 
 def wall_points(wall: Wall, rule: AxialRule, degree: int = WALL_DEGREE) -> WallPoints:
-    """Return the wall at the points of a rule along the tube."""
+    """Return quadrature points of a wall: those of a rule along the tube, times those around.
+
+    The number of points around suffices for products of two polynomials of total degree `degree`.
+    """
     boxes, _, _ = element_boxes(wall, rule)
     contours = wall.contours(rule.z, degree)
     turned = contours.x_t * contours.y_z - contours.y_t * contours.x_z
@@ -65,7 +71,7 @@ def wall_points(wall: Wall, rule: AxialRule, degree: int = WALL_DEGREE) -> WallP
 
 
 def wall_functions(points: WallPoints, basis: Polynomials) -> WallFunctions:
-    """Return the polynomials and their gradients, the last at fixed L_j, at points of a wall."""
+    """Return the polynomials and their derivatives at points of a wall."""
     boxes = Boxes(*(part[:, None] for part in points.boxes))
     x = (points.contours.x - boxes.x0) / boxes.a
     y = (points.contours.y - boxes.y0) / boxes.b
@@ -81,7 +87,7 @@ def wall_functions(points: WallPoints, basis: Polynomials) -> WallFunctions:
 def wall_matrices(
     points: WallPoints, functions: WallFunctions, layout: Layout, weight: Array
 ) -> tuple[Array, Array]:
-    """Integrate over the wall with a weight.
+    """Return stiffness and mass integrals over the wall with a weight w.
 
     Parameters
     ----------
@@ -89,12 +95,12 @@ def wall_matrices(
     functions : WallFunctions
     layout : Layout
     weight : ndarray
-        (n_sections, n_points).
+        w at the points, (n_sections, n_points).
 
     Returns
     -------
     stiffness, mass : ndarray
-        int w grad p . grad q and int w p q, (n_elements, size, size).
+        int w grad p . grad q dA and int w p q dA, (n_elements, size, size).
     """
     p, p_x, p_y, p_z = functions
     share = (weight * points.area)[:, None]
@@ -105,13 +111,13 @@ def wall_matrices(
 
 
 class TangentialFunctions(NamedTuple):
-    """Polynomials at points of a wall, and their gradients along it, at fixed L_j.
+    """Polynomials across at points of a wall, and their tangential derivatives at fixed L_j.
 
     Attributes
     ----------
     p, around, along : ndarray
-        Values, and derivatives along the contour and along the wall at right angles to it,
-        (n_sections, n, n_points).
+        Values, derivatives along the contour, and derivatives along the wall at right angles to
+        the contour, (n_sections, n, n_points). The derivatives are in 1/m.
     rise : ndarray
         Component along the tube of the direction of `along`, (n_sections, 1, n_points).
     """
@@ -123,7 +129,7 @@ class TangentialFunctions(NamedTuple):
 
 
 def tangential_functions(points: WallPoints, functions: WallFunctions) -> TangentialFunctions:
-    """Return polynomials with their gradients along a wall."""
+    """Return the polynomials and their tangential derivatives at points of a wall."""
     p, p_x, p_y, p_z = functions
     contours = points.contours
     speed = np.hypot(contours.x_t, contours.y_t)
@@ -141,7 +147,23 @@ def tangential_matrices(
     weight: Array,
     elements: Index,
 ) -> tuple[Array, Array]:
-    """Integrate as :func:`wall_matrices`, but over some elements and with tangential gradients."""
+    """Return stiffness and mass integrals over the wall of some elements, of tangential gradients.
+
+    Parameters
+    ----------
+    points : WallPoints
+    functions : TangentialFunctions
+    layout : Layout
+    weight : ndarray
+        Weight w at the points, (n_sections, n_points).
+    elements : ndarray of int
+        Numbers of the elements, rising, (n,).
+
+    Returns
+    -------
+    stiffness, mass : ndarray
+        int w grad p . grad q dA, with gradients along the wall, and int w p q dA, (n, size, size).
+    """
     here = np.isin(points.rule.element, elements)
     share = (weight * points.area)[here, None]
     p, around, along, rise = (part[here] for part in functions)

@@ -1,12 +1,13 @@
 """Derivatives of a scattering matrix by motions of the wall.
 
-For a wall that moves outwards by v_n per unit of the parameter, Hadamard's formula [1]_ gives, with
-the fields x of the ports' loads C,
+For a wall that moves outwards by v_n per unit of the parameter, Hadamard's formula [1]_ gives the
+change of the impedance matrix Z from the fields x of the ports' loads C, without a new solution, by
+an integral over the wall:
 
-    dZ = dC^T x + x^T dC - int v_n (grad x . grad x^T - k^2 x x^T) dS
+    dZ = dC^T x + x^T dC - int v_n (grad x . grad x^T - k^2 x x^T) dA.
 
-over the wall, without a new solution. If the ends move, the loads and the ends' axial wavenumbers
-k_z change too. dS follows from S = (I + Q)^-1 (Q - I), Q = D Z D.
+If the ends move, the loads and the ends' axial wavenumbers k_z change too. The change of the
+scattering matrix follows from S = (I + Q)^-1 (Q - I), Q = D Z D, D = sqrt(j k_z).
 
 References
 ----------
@@ -44,7 +45,7 @@ class Changes(NamedTuple):
     Attributes
     ----------
     stiffness, mass : ndarray
-        (n_elements, size, size).
+        Element matrices, (n_elements, size, size).
     load : ndarray
         Loads of the modes of all ports, (n_elements, size, n_ports n_modes).
     """
@@ -55,7 +56,7 @@ class Changes(NamedTuple):
 
 
 def changes_of(system: Discretisation, wall: Wall, motion: Motion, wavenumber: float) -> Changes:
-    """Return the derivatives of stiffness, mass and loads, without the boundary layers.
+    """Return the derivatives of stiffness, mass and loads of a lumen without boundary layers.
 
     Parameters
     ----------
@@ -79,7 +80,7 @@ def changes_of(system: Discretisation, wall: Wall, motion: Motion, wavenumber: f
 def _add_ends(
     changes: Changes, system: Discretisation, wall: Wall, motion: Motion, wavenumber: float
 ) -> None:
-    """Add the changes by moving ends: of the loads and of the far modes' impedance."""
+    """Add in place the changes by moving ends, of the loads and of the far modes' impedance."""
     _, first, last = element_boxes(wall, system.rule)
     far = far_modes(wall, wavenumber, system.functions.odd)
     n, layout = len(system.modes), system.layout
@@ -110,7 +111,7 @@ def modes_like(
     Raises
     ------
     ConfigError
-        If they do not correspond: two modes of equal cut-on may be combined differently.
+        If no such modes exist: two modes of equal cut-on may be combined differently.
     """
     if wall.circular:
         return near, far
@@ -125,7 +126,10 @@ def modes_like(
 
 
 def changed_wavenumbers(system: Discretisation, motion: Motion, kz: Complex) -> Complex:
-    """Return the derivatives of the lossless axial wavenumbers kz, (n, n_modes), in 1/m."""
+    """Return the derivatives of lossless axial wavenumbers kz in 1/m, (n, n_modes).
+
+    They are per unit of the parameter, and zero where kz is zero.
+    """
     transverse = [
         modes_like(wall, system.modes, NO_MODES, system.functions.odd)[0].zeros / wall.radius
         for wall in (motion.less, motion.more)
@@ -142,15 +146,16 @@ def moved_scattering(
     kz: Complex,
     drift: Complex,
 ) -> list[Complex]:
-    """Return the derivative of S of each side.
+    """Return the derivative of S without losses for each side (parity along z).
 
     Parameters
     ----------
     system : Discretisation
     spaces : list of Reduced
+        Reduced space of each side.
     changes : Changes
     k : ndarray
-        In 1/m, (n,).
+        Wavenumbers in 1/m, (n,).
     kz, drift : ndarray
         Axial wavenumbers of the modes of all ports in 1/m, and their derivatives,
         (n, n_ports n_modes).
@@ -170,7 +175,7 @@ def moved_scattering(
 def reduced_changes(
     system: Discretisation, space: Reduced, changes: Changes
 ) -> tuple[Array, Array, Array]:
-    """Return the derivatives of stiffness, mass and ports of a projection."""
+    """Return the derivatives of `stiffness`, `mass` and `ports` of :class:`Reduced`."""
     stiffness, mass = (projected(system, part, space) for part in (changes.stiffness, changes.mass))
     n = system.layout.n_basis
     ports = np.concatenate([
@@ -182,7 +187,10 @@ def reduced_changes(
 def _changed_impedance(
     system: Discretisation, space: Reduced, changes: Changes, k: Array
 ) -> tuple[Array, Array]:
-    """Return Z and its derivative, (n, n_ports n_modes, n_ports n_modes)."""
+    """Return the impedance matrix Z in m and its derivative, (n, n_ports n_modes, n_ports n_modes).
+
+    The wavenumbers `k` are in 1/m, (n,).
+    """
     square, vector = ritz(space.stiffness, space.mass)
     ports = vector.T @ space.ports
     fields = ports / (square - k[:, None] ** 2)[:, :, None]

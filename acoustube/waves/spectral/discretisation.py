@@ -23,23 +23,26 @@ from acoustube.waves.spectral.walls import Wall
 DEGREE_INCREASE = 2
 """Difference of total degree between the enriched basis and the basis."""
 LAYER_RATIO = 0.476
-"""(gamma - 1) / sqrt(Pr): effect of the thermal layer relative to the viscous one."""
+"""(gamma - 1) / sqrt(Pr) of air: effect of the thermal layer relative to the viscous one."""
 ACTIVE_MARGIN = 0.6
-"""Margin of j' over k R up to which port modes have several Krylov blocks, and corrections."""
+"""Port modes with j' < k R + this margin have all Krylov blocks, and corrections; modes further
+below their cut-on have fewer blocks and no corrections. j' is the cut-on wavenumber times the
+radius R."""
 
 
 class Layers(NamedTuple):
-    """The wall of a lumen, for the losses at the wall.
+    """Boundary layers of a lumen's wall: quadrature points, and matrices of a uniform layer.
 
     Attributes
     ----------
     points : WallPoints
     functions : TangentialFunctions
-        Functions of the basis.
+        Functions of the basis across the tube, at `points`.
     stiffness, mass : ndarray
-        Matrices of a layer of uniform thickness in the basis, (n_elements, n_basis, n_basis).
+        Matrices of a layer of unit thickness, in the unknowns of :class:`Discretisation`,
+        (n_elements, n_basis, n_basis).
     blocks : int
-        Number of successive responses to that layer in the Krylov space of a shift.
+        Number of successive responses to the uniform layer in the Krylov space of a shift.
     """
 
     points: WallPoints
@@ -59,7 +62,8 @@ class Discretisation:
     Attributes
     ----------
     low, high : Chain
-        Matrices of the basis, and of the functions of higher degree across the tube that it lacks.
+        Matrices of the basis (`low`), and of the functions of higher degree across the tube that
+        the basis lacks (`high`).
     cross : tuple of ndarray
         Stiffness and mass between the functions that the basis lacks (those across the tube, then
         those along it) and the basis, (n_elements, size - n_basis, n_basis).
@@ -67,7 +71,8 @@ class Discretisation:
         Stiffness and mass between the functions that the basis lacks,
         (n_elements, size - n_basis, size - n_basis).
     turns : tuple of ndarray
-        Coefficients of the elements' modes in the interior functions, for `low` and for `high`.
+        Coefficients of the elements' modes in the interior functions, for `low` and for `high`,
+        (n_elements, n_inner, n_inner) each.
     layout : Layout
         Order of the unknowns.
     rule : AxialRule
@@ -81,15 +86,16 @@ class Discretisation:
     ports : ndarray
         Integrals of the polynomials times the modes, in m, (n_ports, n_all, n_modes).
     heights : tuple of float
-        Coordinates z of the ports in m.
+        Coordinates z in m of the ports at low and at high z.
     radius : float
-        Radius of the ports in m.
+        Radius of the ports, or of the circle of equal area, in m.
     rim : Rim
         Products of the modes along the contour of an end.
     halved : bool
         Whether only the half beyond the plane of symmetry is discretised, which has one port.
     layers : Layers, optional
-        Boundary layers of the wall, with which the Krylov space has more blocks.
+        Boundary layers of the wall, with which the Krylov space has more blocks; None without
+        losses.
     """
 
     low: Chain
@@ -111,7 +117,10 @@ class Discretisation:
 
     @property
     def sides(self) -> tuple[bool, ...]:
-        """Parities along z to solve for: True if the pressure is zero in the symmetry plane."""
+        """Parities along z to solve for: True if the pressure is zero in the symmetry plane.
+
+        A lumen that is not halved has the one entry False.
+        """
         return (False, True) if self.halved else (False,)
 
     @property
@@ -125,7 +134,11 @@ class Discretisation:
         return load
 
     def in_polynomials(self, fields: Array, corrections: Array) -> tuple[Array, Array]:
-        """Return fields, and corrections in what the basis lacks, as polynomial coefficients."""
+        """Transform fields and corrections from the elements' modes to coefficients of polynomials.
+
+        `fields` are (n_elements, n_basis, ...), `corrections` (n_elements, size - n_basis, ...);
+        the results have the same shapes.
+        """
         found: list[Array] = []
         for part, turn in zip((fields, corrections), self.turns, strict=True):
             own = part.copy()
@@ -136,7 +149,7 @@ class Discretisation:
         return found[0], found[1]
 
     def in_modes(self, matrix: Array) -> Array:
-        """Transform matrices (n_elements, n_basis, n_basis) in polynomials to these unknowns."""
+        """Transform matrices (n_elements, n_basis, n_basis) from polynomials to elements' modes."""
         turn = self.turns[0]
         n = self.layout.n_basis - turn.shape[1]
         beside = np.concatenate([matrix[:, :, :n], matrix[:, :, n:] @ turn], axis=2)
@@ -144,22 +157,25 @@ class Discretisation:
 
 
 class Response(NamedTuple):
-    """Solution at one expansion point, a squared wavenumber, for one parity along z (`sides`).
+    """Solution at one shift, a squared wavenumber, for one parity along z.
 
     Attributes
     ----------
-    fields, last : ndarray
-        Blocks of a Krylov space in the basis, the first of which is the response, and the last
-        block, (n_elements, n_basis, n_columns).
+    fields : ndarray
+        All blocks of the Krylov space in the basis but the last, side by side,
+        (n_elements, n_basis, n_columns). The first block is the response to the ports' loads.
+    last : ndarray
+        Last block, (n_elements, n_basis, n_last).
     correction : ndarray
         First-order correction of the response by the other functions of the enriched basis,
-        (n_elements, size - n_basis, n_columns).
+        (n_elements, size - n_basis, n_active), for the modes up to `ACTIVE_MARGIN`.
     impedance : ndarray
         Z in m, modal pressure over modal normal derivative, (n_ports n_modes, n_ports n_modes).
     by_degree : ndarray
         Correction of Z by the polynomials of higher degree, of the shape of `impedance`.
     by_element : ndarray
-        Correction of Z by one degree more along each element, (n_elements, ...).
+        Correction of Z by one degree more along each element,
+        (n_elements, n_ports n_modes, n_ports n_modes).
     """
 
     fields: Array
@@ -173,18 +189,18 @@ class Response(NamedTuple):
 def discretise(
     wall: Wall, edges: Array, degree: int, order: int, odd: bool | None, wavenumber: float
 ) -> Discretisation:
-    """Assemble a lumen.
+    """Assemble the matrices of a lumen in a basis and in the enriched basis.
 
     Parameters
     ----------
     wall : Wall
     edges : ndarray
-        Boundaries of the elements in m, from the first port or the plane of symmetry to the last
-        port.
+        Boundaries of the elements in m, from the first port, or from the plane of symmetry of a
+        reversible wall, to the last port.
     degree, order : int
-        Total degree across the tube, degree along an element.
+        Total degree of the basis across the tube, and degree of the basis along an element.
     odd : bool or None
-        Symmetry about x = 0; None for all modes.
+        True for the modes antisymmetric about x = 0, False for the symmetric ones; None for all.
     wavenumber : float
         Highest wavenumber of interest in 1/m.
     """
@@ -225,7 +241,7 @@ def discretise(
 def _in_inner_modes(
     elements: Elements, layout: Layout
 ) -> tuple[Chain, Chain, tuple[Array, Array], tuple[Array, Array], tuple[Array, Array]]:
-    """Return the matrices of :class:`Discretisation` with modes as interior unknowns."""
+    """Return `low`, `high`, `cross`, `rest` and `turns` of :class:`Discretisation`."""
     n, more = layout.n_basis, layout.n_higher
     chains, turns = [], []
     for start, stop, width in ((0, n, layout.n), (n, n + more, layout.n_all - layout.n)):
@@ -258,7 +274,10 @@ def _add_far_modes(
     radius: float,
     wavenumber: float,
 ) -> None:
-    """Add the impedance of strongly evanescent modes to a port, linearised in k^2."""
+    """Add the impedance of strongly evanescent modes, linearised in k^2, to a port's element.
+
+    `place` holds the number of the element and the indices of its unknowns at the port.
+    """
     element, end = place
     stiffness, mass = far_matrices(functions, modes, radius, wavenumber)
     elements.stiffness[element][np.ix_(end, end)] += stiffness
@@ -266,7 +285,7 @@ def _add_far_modes(
 
 
 def far_modes(wall: Wall, wavenumber: float, odd: bool | None) -> PortModes:
-    """Return the modes of the ends that are too far below their cut-on for port modes."""
+    """Return the strongly evanescent modes, with j' in the `EVANESCENT_RANGE` above port modes."""
     reach = MARGIN + wavenumber * wall.radius
     return end_modes(wall, reach + EVANESCENT_RANGE, odd, lowest=reach)
 
@@ -274,7 +293,11 @@ def far_modes(wall: Wall, wavenumber: float, odd: bool | None) -> PortModes:
 def far_matrices(
     functions: Array, modes: PortModes, radius: float, wavenumber: float
 ) -> tuple[Array, Array]:
-    """Return stiffness and mass, (n, n), of the impedance of strongly evanescent modes."""
+    """Return stiffness in m and mass in m3, (n, n), of the impedance of strongly evanescent modes.
+
+    The impedance sqrt(kt^2 - k^2) is linearised in k^2 about half the square of the highest
+    `wavenumber`. `functions` are the integrals of polynomials times modes in m, (n, n_modes).
+    """
     middle = wavenumber**2 / 2
     decay = np.sqrt((modes.zeros / radius) ** 2 - middle)
     stiffness = (functions * (decay + middle / (2 * decay))) @ functions.T
@@ -290,7 +313,7 @@ def respond(system: Discretisation, shift: float, blocks: int) -> list[Response]
     shift : float
         k^2 in 1/m2.
     blocks : int
-        Number of blocks of the Krylov space of (K - k^2 M)^-1 M; the response is the first.
+        Number of blocks of the Krylov space of (K - k^2 M)^-1 M; the first is the response.
 
     Returns
     -------
@@ -349,7 +372,7 @@ def respond(system: Discretisation, shift: float, blocks: int) -> list[Response]
 
 
 def _normalised(block: Array, n_sides: int) -> Array:
-    """Return a block with orthonormal columns for each side."""
+    """Return a block of fields with the columns of each side orthonormalised."""
     flat = block.reshape(-1, block.shape[-1])
     bases = [np.linalg.qr(part)[0] for part in np.split(flat, n_sides, axis=1)]
     return np.concatenate(bases, axis=1).reshape(block.shape)

@@ -30,7 +30,9 @@ SURPLUS = 1e30
 class Chain(NamedTuple):
     """Matrices of a chain of elements, whose interior unknowns are amplitudes of their eigenmodes.
 
-    The eigenmodes of an element vanish at its ends and have unit mass (Craig and Bampton).
+    The eigenmodes of an element vanish at its ends and have unit mass (Craig and Bampton). There
+    are n unknowns at each end. The unknowns of an element are in the order of its low end, its high
+    end and its inner modes.
 
     Attributes
     ----------
@@ -49,7 +51,7 @@ class Chain(NamedTuple):
     drag: Array
 
     def times_mass(self, field: Array) -> Array:
-        """Return the products of M with fields (n_elements, n_j n, n_fields)."""
+        """Return the products of M with fields (n_elements, 2 n + n_inner, n_fields)."""
         border = self.mass.shape[-1]
         ends, inner = field[:, :border], field[:, border:]
         return np.concatenate(
@@ -57,7 +59,10 @@ class Chain(NamedTuple):
         )
 
     def projected(self, left: Array, right: Array) -> tuple[Array, Array]:
-        """Return left^T K right and left^T M right of fields (n_elements, n_j n, ...)."""
+        """Return left^T K right and left^T M right, (n_left, n_right), summed over the elements.
+
+        `left` and `right` are fields, (n_elements, 2 n + n_inner, n_left or n_right).
+        """
         border = self.mass.shape[-1]
         a, b = left[:, border:], right[:, border:]
         a_ends, b_ends = left[:, :border], right[:, :border]
@@ -85,10 +90,10 @@ class Factors(NamedTuple):
     coupling : ndarray
         Entries of K - s M between modes and ends, (n_elements, n_inner, 2 n).
     nodes : ndarray
-        Inverses of the nodes' blocks, (n_elements + 1, n, n).
+        Inverses of the nodes' blocks after elimination of all later nodes, (n_elements + 1, n, n).
     onwards : ndarray
-        Minus the value at each node, but the first, per unit value at the node before it,
-        (n_elements, n, n).
+        Matrices that give minus the value at node i + 1 from that at node i, if there are no loads
+        beyond node i, (n_elements, n, n).
     """
 
     chain: Chain
@@ -99,25 +104,25 @@ class Factors(NamedTuple):
 
 
 def product(a: Array, b: Array) -> Array:
-    """Return the inner products of all fields (n_elements, n, n_fields) with other fields."""
+    """Return the inner products (n_a, n_b) of fields a, (n_elements, n, n_a), with fields b."""
     flat = a.shape[0] * a.shape[1]
     return np.asarray(a.reshape(flat, a.shape[-1]).T @ b.reshape(flat, b.shape[-1]))
 
 
 def inner_modes(stiffness: Array, mass: Array) -> tuple[Array, Array]:
-    """Return the modes of the inner unknowns of elements.
+    """Return the eigenmodes of the inner unknowns of each element, K v = k^2 M v.
 
     Parameters
     ----------
     stiffness, mass : ndarray
-        (n_elements, n, n).
+        K and M, (n_elements, n, n).
 
     Returns
     -------
     square, modes : ndarray
-        Squared wavenumbers in 1/m2, (n_elements, n), and modes as columns of unit M,
-        (n_elements, n, n). If functions are linearly dependent, the surplus modes are zero and
-        their `square` is `SURPLUS`.
+        Squared wavenumbers k^2 in 1/m2, (n_elements, n), and modes as columns, normalised to
+        v^T M v = 1, (n_elements, n, n). If functions are linearly dependent, the surplus modes are
+        zero and their `square` is `SURPLUS`.
     """
     scale = 1 / np.sqrt(np.einsum("eii->ei", mass))
     stiffness, mass = (part * scale[:, None] * scale[:, :, None] for part in (stiffness, mass))
@@ -151,7 +156,7 @@ def _modes(stiffness: Array, mass: Array) -> tuple[Array, Array]:
 
 
 def factor(chain: Chain, shift: float) -> Factors:
-    """Factor K - s M.
+    """Return the block factors of K - s M at a squared wavenumber s, `shift`, in 1/m2.
 
     Notes
     -----
@@ -181,7 +186,8 @@ def solve(factors: Factors, load: Array, held: NDArray[np.bool_]) -> Array:
     ----------
     factors : Factors
     load : ndarray
-        Load vectors of each element, (n_elements, n_j n, n_loads); those at a node are summed.
+        Load vectors of each element, (n_elements, 2 n + n_inner, n_loads); the loads of both
+        elements at a node are summed.
     held : ndarray of bool
         True for loads for which the pressure at the first node is prescribed as zero, (n_loads,).
 

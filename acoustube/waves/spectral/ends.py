@@ -39,14 +39,15 @@ made positive."""
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """Straight end of a lumen, with its modes where it is not round.
+    """Section of a straight end of a lumen that is not round, with its modes of one symmetry.
 
     Attributes
     ----------
     contours : Contours
         Contour of the one section.
     boxes : Boxes
-        Box of the polynomials: the section's bounding box, or that of the unmoved wall's section.
+        Box of the polynomials: the section's bounding box; for a displaced wall, that of the
+        unmoved wall's section.
     extent : Boxes
         Bounding box of the section itself.
     basis : Polynomials
@@ -55,7 +56,8 @@ class Section:
     modes : PortModes
         All modes that the basis resolves.
     alike : ndarray
-        Overlap of each mode with the unmoved wall's mode of the same number, (n_modes,).
+        Overlap, from 0 to 1, of each mode with the unmoved wall's mode of equal index, (n_modes,).
+        One for a wall that is not displaced.
     """
 
     contours: Contours
@@ -67,7 +69,7 @@ class Section:
     alike: Array
 
     def chosen(self, modes: PortModes) -> Array:
-        """Return the coefficients of some of the modes, (n, n_modes)."""
+        """Return the coefficients of some of the section's modes, (n, n_modes)."""
         return self.coefficients[:, np.searchsorted(self.modes.zeros, modes.zeros)]
 
 
@@ -80,7 +82,7 @@ def end_modes(wall: Wall, highest: float, odd: bool | None, lowest: float = -1.0
     highest, lowest : float
         Bounds of j', the cut-on wavenumber times the wall's `radius`.
     odd : bool or None
-        Symmetry about x = 0; None for both.
+        True for the modes antisymmetric about x = 0, False for the symmetric ones; None for both.
     """
     if wall.circular:
         return port_modes(highest, odd, lowest)
@@ -125,8 +127,9 @@ class Rim(NamedTuple):
     Attributes
     ----------
     product, slope : ndarray
-        Products of two modes, in 1/m, and of their derivatives along the contour, in 1/m3, both
-        times the length of contour at each point, (n_points, n, n). A round end has one point.
+        Products of two modes in 1/m, and products of their derivatives along the contour in 1/m3.
+        Both include the length of contour at each point, (n_points, n, n). A round end has one
+        point, with the integrals over the contour.
     section : Section or None
         None if the end is round.
     """
@@ -171,7 +174,7 @@ def section_of(wall: Wall, odd: bool | None) -> Section:
     Raises
     ------
     ConfigError
-        If the section overlaps itself.
+        If the section overlaps itself or is too slender.
     """
     basis = polynomials(SECTION_DEGREE, odd)
     z = np.array([wall.ends[0]])
@@ -193,7 +196,7 @@ def section_of(wall: Wall, odd: bool | None) -> Section:
     sine = np.full(len(zeros), bool(odd))
     if odd is None:
         mirrored = np.where(basis.i % 2 == 0, 1.0, -1.0)
-        # The functions are combinations of products of equal parity of the degree in X.
+        # Matrix of the reflection x -> -x of the functions, from that of their Legendre products.
         mirror = basis.mix @ (mirrored[:, None] * np.linalg.inv(basis.mix))
         sine = np.einsum("im,ij,jm->m", vectors, mass @ mirror.T, vectors) < 0
     names, m = _names(sine)
@@ -220,7 +223,10 @@ def _end_box(wall: Wall, z: Array) -> Boxes:
 
 
 def _names(sine: NDArray[np.bool_]) -> tuple[tuple[str, ...], Index]:
-    """Return names and nodal diameters of the round bore's modes of equal symmetry and order."""
+    """Return the modes' names and nodal diameters, those of the round bore's modes of equal rank.
+
+    The rank is counted among the modes of equal symmetry, `sine`, in the order of the cut-ons.
+    """
     highest = 4.0
     while True:
         known = {side: port_modes(highest, side) for side in (False, True)}

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acoustube.waves.spectral.ends import end_modes
+from acoustube.base.errors import ConfigError
+from acoustube.base.units import MM
+from acoustube.waves.spectral.discretisation import DEGREE_INCREASE
+from acoustube.waves.spectral.ends import SECTION_DEGREE, end_modes
 from acoustube.waves.spectral.partition import partition
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import axial_wavenumbers
@@ -22,9 +25,9 @@ DEGREE_PER_WAVE = 1.2
 `DEGREE_MARGIN` is added."""
 DEGREE_MARGIN = 3
 FLAT, FLAT_DEGREES, LEAST_FLAT_DEGREE = 0.03, 2, 12
-"""Half height or half width of a section, relative to the radius of the ends, below which a lumen
-counts as flat; the increase of the degree across the tube of flat lumens; and their least degree.
-"""
+"""`FLAT` is the half height or half width of a section, relative to the radius of the ends, below
+which a lumen counts as flat. `FLAT_DEGREES` is the increase of the degree across the tube of flat
+lumens, and `LEAST_FLAT_DEGREE` their least degree."""
 FIELDS_PER_WAVE = {False: 1.9, True: 1.2}
 """Number of fields of the reduced space per standing wave in the lumen within the band, without and
 with losses."""
@@ -39,10 +42,12 @@ SPARE_SHIFTS = {False: 2, True: 6}
 GRADING = 1.4
 """Exponent p: the shifts are equally spaced in k^p."""
 ABOVE_CUT_ON = 1.1
-"""Ratio to each cut-on of the frequency of an additional shift with losses. There the response of
-the layers to a mode whose axial wavenumber has just become real changes fast."""
+"""Wavenumber, relative to a mode's cut-on, of the additional shift that each mode has with losses.
+There the response of the layers to a mode whose axial wavenumber has just become real changes fast.
+"""
 CLOSEST = 0.2
-"""Smallest distance of an additional shift from the others, relative to their largest spacing."""
+"""Smallest distance in k of an additional shift from the others, relative to the largest distance
+between neighbouring shifts."""
 DERIVATIVE_DEGREES = {False: 4, True: 2}
 """Increase of the degree across the tube for derivatives, without and with losses: their error is
 of first order in the error of the field, that of the scattering matrix of second order."""
@@ -86,6 +91,11 @@ def first_basis(
         Whether the wall has boundary layers.
     moving : bool
         Whether derivatives by a motion of the wall are required.
+
+    Raises
+    ------
+    ConfigError
+        If ends that are not round are too wide for the wavelength.
     """
     reach = float(k[-1]) * wall.radius
     degree = max(LEAST_DEGREE, int(np.ceil(DEGREE_PER_WAVE * reach + DEGREE_MARGIN)))
@@ -94,6 +104,14 @@ def first_basis(
     if flat:
         degree = max(degree + FLAT_DEGREES, LEAST_FLAT_DEGREE)
     degree += DERIVATIVE_DEGREES[lossy] * moving
+    degree += degree % 2
+    if not wall.circular and degree + DEGREE_INCREASE > SECTION_DEGREE:
+        raise ConfigError(
+            f"a wavelength of {MM * 2 * np.pi / k[-1]:.3g} mm, that of the highest frequency, is "
+            f"too short for this bore, which is not round and as wide as "
+            f"{MM * 2 * wall.radius:.3g} mm; lower the frequency, or use the time-domain solver "
+            "(acoustube.waves.scatter)"
+        )
     modes = end_modes(wall, reach, odd)
     kz = axial_wavenumbers(k[-1:], modes.zeros, wall.radius).real
     waves = float(kz.sum()) * (edges[-1] - edges[0]) / np.pi
@@ -104,11 +122,11 @@ def first_basis(
     shifts = np.linspace(low**GRADING, high**GRADING, n_shifts) ** (1 / GRADING)
     if lossy:
         shifts = _with_more(shifts, ABOVE_CUT_ON * modes.zeros[modes.zeros > 0] / wall.radius)
-    return Basis(degree + degree % 2, edges, shifts**2, flat)
+    return Basis(degree, edges, shifts**2, flat)
 
 
 def flat_elements(wall: Wall, edges: Array) -> NDArray[np.bool_]:
-    """Return a mask of the elements with a section lower or narrower than `FLAT`, (n_elements,).
+    """Return a mask of the elements with a section flatter than `FLAT`, (n_elements,).
 
     Parameters
     ----------
@@ -124,7 +142,7 @@ def flat_elements(wall: Wall, edges: Array) -> NDArray[np.bool_]:
 
 
 def _with_more(shifts: Array, more: Array) -> Array:
-    """Return shifts with those of `more` that are below the last and not close to others."""
+    """Return the wavenumbers `shifts` with those of `more` below the last and not close to any."""
     close = CLOSEST * np.diff(shifts).max()
     for shift in more[more < shifts[-1]]:
         if np.abs(shifts - shift).min() > close:

@@ -1,14 +1,16 @@
 """Boundary layers at a wall, as an impedance for tangential motion and for compression.
 
-To first order in D_v = sqrt(nu / (j omega)) and D_t = D_v / sqrt(Pr), the air within D_v of a wall
-does not move along it, and isothermal compression within D_t acts like (gamma - 1) D_t more air:
+To first order in D_v = sqrt(nu / (j omega)) and D_t = D_v / sqrt(Pr), for the kinematic viscosity
+nu, the air within D_v of a wall does not move along it, and isothermal compression within D_t acts
+like (gamma - 1) D_t more air:
 
     A = K - k^2 M - D_v K_wall - (gamma - 1) D_t k^2 M_wall,
 
-where K_wall has gradients along the wall. If the air is only a few layers wide, this subtracts more
-than the air contributes. There a slit of height h loses D tanh(h / 2D) at each wall instead of D,
-and a round tube of diameter h loses D I1(h / 2D) / I0(h / 2D). The wall's curvature kappa
-determines the mixture of the two, and D is replaced by
+where K_wall and M_wall are the integrals over the wall of grad p . grad q, with gradients along the
+wall, and of p q. If the air is only a few layers wide, this subtracts more than the air
+contributes. There a slit of height h loses D tanh(h / 2D) at each wall instead of D, and a round
+tube of diameter h loses D I1(h / 2D) / I0(h / 2D). The wall's curvature kappa determines the
+mixture of the two, and D is replaced by
 
     f D,    f = (1 - b) tanh(h / 2D) + b I1(h / 2D) / I0(h / 2D),    b = kappa h / 2 from 0 to 1,
 
@@ -60,14 +62,14 @@ LEAST_PART = 1e-4
 
 
 class LayerSeries(NamedTuple):
-    """Losses at the wall as sums of products of functions of position and of frequency.
+    """f D_v and (gamma - 1) f D_t as sums of products of functions of frequency and of position.
 
     Attributes
     ----------
     weights : ndarray
-        Functions of position, (n_parts, n_sections, n_points).
+        Functions of position, for both sums, (n_parts, n_sections, n_points).
     viscous, thermal : ndarray
-        Functions of frequency, of f D_v and (gamma - 1) f D_t, in m, (n_frequencies, n_parts).
+        Functions of frequency for f D_v and for (gamma - 1) f D_t, in m, (n_frequencies, n_parts).
     """
 
     weights: Array
@@ -76,13 +78,13 @@ class LayerSeries(NamedTuple):
 
 
 def layer_thickness(frequency: Array, air: Air) -> tuple[Complex, Complex]:
-    """Return D_v and D_t in m, (n,)."""
+    """Return the complex layer thicknesses D_v and D_t in m at frequencies in Hz, (n,) each."""
     viscous = np.sqrt(air.viscous_diffusivity / (2j * np.pi * frequency))
     return viscous, viscous / np.sqrt(air.prandtl)
 
 
 def filling(width: Array, roundness: Array, thickness: Complex) -> Complex:
-    """Return the function f of h, b and D (see the module's docstring), broadcast."""
+    """Return the factor f of the thickness D, from gaps h in m, weights b and D in m, broadcast."""
     argument, b = np.broadcast_arrays(width / (2 * thickness), roundness)
     # Asymptotic to a relative 1e-7 where the air is many layers wide, which is mostly the case.
     inverse = 1 / argument
@@ -95,14 +97,14 @@ def filling(width: Array, roundness: Array, thickness: Complex) -> Complex:
 
 
 class Gaps(NamedTuple):
-    """Gaps at points of a wall: the largest inscribed circle that touches the wall there.
+    """Gaps at points of a wall, from the largest inscribed circle that touches the wall there.
 
     Attributes
     ----------
     width, roundness : ndarray
-        Diameter h of the circles in m, and weight b of the round tube, (n_sections, n_points).
+        Diameter h of the circle in m, and weight b of the round tube, (n_sections, n_points).
     measured : ndarray of bool
-        Whether the widths of a section are measured point by point, (n_sections,).
+        Whether the widths of a section are measured at each point, (n_sections,).
     sealed : ndarray
         Weight from 0 (open) to 1 (pressed together), (n_sections, n_points).
     """
@@ -122,7 +124,7 @@ def gaps_of(points: WallPoints, thickness: float, like: Gaps | None = None) -> G
     thickness : float
         Thickness of the thickest viscous layer in m.
     like : Gaps, optional
-        Gaps of nearly the same wall; the same sections are measured as in these.
+        Gaps of nearly the same wall, whose `measured` is used.
     """
     contours, boxes = points.contours, points.boxes
     measured = _narrow(boxes, thickness) if like is None else like.measured
@@ -132,7 +134,7 @@ def gaps_of(points: WallPoints, thickness: float, like: Gaps | None = None) -> G
 
 
 def sealing_weight(width: Array, sealing_gap: float) -> Array:
-    """Return the weight of sealing of gaps, from 0, open, to 1, pressed together.
+    """Return the weight of sealing of gaps, from 0 (open) to 1 (pressed together).
 
     It is a smooth step over `SEALING_WIDTH` about the sealing gap, of the shape of `width`.
 
@@ -155,7 +157,7 @@ def _narrow(boxes: Boxes, thickness: float) -> NDArray[np.bool_]:
 
 
 def layer_series(points: WallPoints, frequency: Array, air: Air) -> LayerSeries:
-    """Return the wall's losses over a band.
+    """Return the boundary layers' f D at points of a wall over a band, as sums of products.
 
     Parameters
     ----------
@@ -173,7 +175,7 @@ def changed_series(
     points: WallPoints, shifted: tuple[WallPoints, WallPoints], step: float, frequency: Array,
     air: Air,
 ) -> LayerSeries:  # fmt: skip
-    """Return the derivative of the losses at points that move with a wall.
+    """Return the derivative of f D by a shape parameter, at points that move with a wall.
 
     Parameters
     ----------
@@ -181,7 +183,7 @@ def changed_series(
     shifted : tuple of WallPoints
         The same points of the wall before and after a small step.
     step : float
-        Step of the parameter between these two.
+        Difference of the parameter between the elements of `shifted`.
     frequency : ndarray
         In Hz, (n,), rising.
     air : Air
@@ -205,7 +207,7 @@ def _thickest(sampled: Array, air: Air) -> float:
 
 
 def _fillings(gaps: Gaps, sampled: Array, air: Air) -> Complex:
-    """Return f of the viscous, then of the thermal layers, (2 n_sampled, n_sections n_points)."""
+    """Return f for D_v, then f for D_t, (2 n_sampled, n_sections n_points)."""
     width, roundness, share = gaps.width.ravel(), gaps.roundness.ravel(), gaps.sealed.ravel()
     layers = layer_thickness(sampled, air)
     both = np.stack([filling(width, roundness, d) for layer in layers for d in layer[:, None]])
@@ -219,7 +221,7 @@ def _fillings(gaps: Gaps, sampled: Array, air: Air) -> Complex:
 def _series(
     points: WallPoints, gaps: Gaps, values: Complex, sampled: Array, frequency: Array, air: Air
 ) -> LayerSeries:
-    """Return f or its derivatives (2 n_sampled, n_sections n_points) as sums of products."""
+    """Return f D or its derivative as sums of products, from values of f as by `_fillings`."""
     rows = np.concatenate([values.real, values.imag])
     number = points.rule.element
     of_element = np.repeat(number, gaps.width.shape[1])
@@ -241,8 +243,8 @@ def _series(
 def _parts(rows: Array, wide: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return values (n, n_points) as functions (n, n_parts) times weights (n_parts, n_points).
 
-    The functions of the wide points come first. The weights of the others are zero there, so that
-    their integrals extend over few elements only.
+    The functions of the wide points come first. The weights of the other functions are zero at wide
+    points, so that their integrals extend over few elements only.
     """
     left, functions, weights = rows, [], []
     least = (LEAST_PART * np.linalg.norm(rows)) ** 2
@@ -294,14 +296,14 @@ def gap_widths(
 def _touching(here: Array, inwards: Array, there: Array, facing: Array) -> Array:
     """Return diameters of the largest circles inside a contour that touch it at given points.
 
-    Each is the smallest of the circles that touch it there and pass through another point.
+    Each is the smallest circle that touches the contour there and passes through another point.
 
     Parameters
     ----------
     here, inwards : ndarray
-        Points and normals of unit length, (2, n).
+        Given points in m and their inward normals of unit length, (2, n).
     there, facing : ndarray
-        The same for the whole contour, in its order, (2, n_all).
+        Points and inward normals of the whole contour, in its order, (2, n_all).
 
     Returns
     -------
@@ -342,7 +344,7 @@ def lossy_ends(
     Parameters
     ----------
     k : ndarray
-        Wavenumbers of free sound in the air in 1/m, (n,).
+        Wavenumbers of free sound in the air in 1/m, complex with absorption, (n,).
     modes : PortModes
         Modes of the ends without losses.
     radius : float
@@ -362,8 +364,8 @@ def lossy_ends(
 
     Notes
     -----
-    With f G = closed int f psi_a psi_b of the lossless modes along the contour, f G' the same of
-    their derivatives along it, and N = 1 - D_v f G, the eigenproblem is
+    f G is closed int f psi_a psi_b of the lossless modes along the contour, f G' that of their
+    derivatives along it, kt their cut-on wavenumber, and N = 1 - D_v f G. The eigenproblem is
     kz^2 N v = (k^2 (1 + (gamma - 1) D_t f G) - kt^2 + D_v f G') v. The flux is N v, normalised to
     v^T N v = 1.
     """
@@ -391,7 +393,7 @@ def lossy_ends(
 
 
 def _section_widths(section: Section, thickness: float) -> tuple[Array, Array]:
-    """Return the gap widths in m and curvatures times half widths along a contour, (n_points,)."""
+    """Return the gap widths h in m and weights b along an end's contour, (n_points,) each."""
     contours, halved = section.contours, section.basis.odd is not None
     measured = _narrow(section.boxes, thickness)
     width = gap_widths(contours, section.extent, halved, measured)

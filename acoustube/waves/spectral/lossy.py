@@ -40,23 +40,25 @@ from acoustube.waves.spectral.reduction import (
 from acoustube.waves.spectral.walls import Wall
 
 SAMPLES_PER_RESONANCE, SPARE_SAMPLES = 1.6, 8
-"""Number of fields per resonance of the lumen from directly solved frequencies, and number of
-further frequencies."""
+"""`SAMPLES_PER_RESONANCE` is the number of fields per resonance of the lumen that are computed
+directly: one for each port mode at each sampled frequency. `SPARE_SAMPLES` is the number of sampled
+frequencies in addition to those that this requires."""
 LOSSY_BLOCKS = 3
-"""Number of blocks of the Krylov space at each directly solved frequency."""
+"""Number of blocks of the Krylov space at each sampled frequency."""
 CHECKS = 12
-"""Number of frequencies at which the error is estimated."""
+"""Largest number of frequencies at which the error is estimated."""
 MOVING_SAMPLES = 1e-3
-"""Factor of the tolerance of the span of directly solved frequencies for derivatives, whose error
-is of first order in the error of the fields."""
+"""Factor that multiplies `SAMPLE_TOLERANCE` if derivatives are required, because their error is of
+first order in the error of the fields."""
 LAYER_DEGREE = 6
-"""Polynomial degree that determines the number of quadrature points round the tube."""
+"""Degree of polynomials that determines the number of quadrature points round the tube for the
+boundary layers."""
 LAYER_BLOCKS = {False: 2, True: 3}
-"""Number of successive responses to the layers at each shift, for other and for flat lumens."""
+"""Number of successive responses to the layers at each shift; True is the key for flat lumens."""
 LAYER_PIECES = 2
 """Number of pieces of an element with a flat section, for the quadrature of the layers: walls pass
-from open to sealed within a fraction of it. In other elements kinks of the wall do not matter,
-because losses are small corrections."""
+from open to sealed within a fraction of the element. In other elements kinks of the wall do not
+matter, because losses are small corrections."""
 SAMPLE_GRADING = 1.6
 """Exponent p: the sampled frequencies are equally spaced in f^p."""
 
@@ -89,20 +91,24 @@ def _pieces(wall: Wall, edges: Array) -> Array:
 
 
 def layer_functions(system: Discretisation, points: WallPoints) -> TangentialFunctions:
-    """Return the functions of the basis at points of a wall."""
+    """Return the functions of the basis and their tangential derivatives at points of a wall."""
     richer = tangential_functions(points, wall_functions(points, system.functions))
     return TangentialFunctions(*(part[:, : system.layout.n] for part in richer))
 
 
 def wall_layout(system: Discretisation) -> Layout:
-    """Return the layout that has the unknowns of the basis only."""
+    """Return the layout of elements with the unknowns of the basis only."""
     return Layout(system.layout.n, system.layout.n, system.layout.order - 1)
 
 
 def wall_projections(
     system: Discretisation, layers: Layers, spaces: list[Reduced], frequency: Array, air: Air
 ) -> tuple[LayerSeries, list[list[tuple[Array, Array]]]]:
-    """Return the losses at the wall, and the wall's integrals (K, M) in the space of each side."""
+    """Return the losses at the wall as sums of products, and projections of their wall integrals.
+
+    The projections are a list for each parity along z. It has stiffness and mass,
+    (n_fields, n_fields) each, for every function of position of the losses.
+    """
     series = layer_series(layers.points, frequency, air)
     found: list[list[tuple[Array, Array]]] = [[] for _ in spaces]
     fields = [system.in_polynomials(space.fields, space.corrections)[0] for space in spaces]
@@ -144,7 +150,7 @@ class LossySide(NamedTuple):
 
 
 def both_ports(part: Complex, n_ports: int) -> Complex:
-    """Return the matrices of the modes of all ports, from those of one, (n, n_modes, n_modes)."""
+    """Return block-diagonal matrices for all ports, from those for one, (n, n_modes, n_modes)."""
     return np.stack([block_diag(*[one] * n_ports) for one in part])
 
 
@@ -159,20 +165,20 @@ def lossy_scattering(
     *,
     moving: bool = False,
 ) -> tuple[list[LossySide], Complex, Array]:
-    """Return each side's solution, the ends' wavenumbers, and the change of S in a smaller space.
+    """Return solutions with losses, the ends' wavenumbers, and the change of S in a smaller space.
 
     Parameters
     ----------
     system : Discretisation
     spaces : list of Reduced
-        Reduced space of each side.
+        Reduced space of each side (parity along z).
     walls, series
         From :func:`wall_projections`.
     frequency : ndarray
         In Hz, (n,).
     air : Air
     sizes : list of int
-        For each side, the number of its first fields that span the poorer space.
+        For each side, the number of fields of its smaller space: the first ones of its space.
     moving : bool
         Whether derivatives by a motion of the wall are required.
 
@@ -180,10 +186,10 @@ def lossy_scattering(
     -------
     sides : list of LossySide
     kz : ndarray
-        In 1/m, (n, n_modes).
+        Axial wavenumbers of the lossy modes of an end in 1/m, (n, n_modes).
     lacking : ndarray
-        Largest change of a coefficient of propagating modes, (n,), interpolated from that at a few
-        frequencies.
+        Largest change of a coefficient of propagating modes in the smaller spaces, (n,),
+        interpolated from those at a few frequencies.
     """
     k = 2 * np.pi * frequency / air.sound_speed - 1j * air.absorption(frequency)
     kz, flux = lossy_ends(k, system.modes, system.radius, system.rim, frequency, air)
@@ -203,14 +209,14 @@ def lossy_scattering(
             for blocks, there in zip(fields, travels[sampled], strict=True)
             for block in blocks
         ]
-        # For evanescent modes the response only: it is almost the same at all frequencies.
+        # For evanescent modes the first block only: it is almost the same at all frequencies.
         columns += list(fields[:, 0])
         everything = np.concatenate(columns, axis=1)
         least = SAMPLE_TOLERANCE * (MOVING_SAMPLES if moving else 1.0)
         response, solution = lossy_impedance(model, band, everything, least)
         found.append(LossySide(model, band, solution, response, kz_all))
         s = found[-1].scattering
-        # At the frequencies farthest from the sampled ones.
+        # The error is estimated midway between sampled frequencies.
         between = np.unique((sampled[:-1] + sampled[1:]) // 2)
         between = between if len(between) else sampled
         few = between[np.unique(np.linspace(0, len(between) - 1, CHECKS).astype(int))]
@@ -225,7 +231,10 @@ def lossy_scattering(
 
 
 def _sampled(model: LossyModel, k: Complex, cut_ons: Array) -> NDArray[np.intp]:
-    """Return the indices of the frequencies at which the equations are solved directly."""
+    """Return the indices of the frequencies at which the equations are solved directly.
+
+    `k` and the cut-on wavenumbers are in 1/m.
+    """
     resonances = np.sum(model.square < k.real[-1] ** 2)
     count = SPARE_SAMPLES + int(np.ceil(SAMPLES_PER_RESONANCE * resonances / model.ports.shape[1]))
     # Resonances are dense where many modes propagate.

@@ -2,7 +2,8 @@
 
 With losses the integrals over the wall change too: their points move, the area and directions of
 the wall change, and so do the gaps, on which the layers depend. The polynomials stay fixed in
-space. With the loads R = C F of the fluxes F of the lossy modes, and their fields x,
+space. With the system matrix A, the loads R = C F of the lossy modes, whose fluxes are F, and their
+fields x from A x = R, the impedance matrix Z = R^T x changes by
 
     dZ = dR^T x + x^T dR - x^T dA x,
 
@@ -38,12 +39,14 @@ from acoustube.waves.spectral.reduction import MAX_MATRICES, LossyBand, Reduced
 class WallChanges(NamedTuple):
     """Derivatives of the boundary-layer terms by a shape parameter.
 
-    Each is a sum of products of a function of frequency and a matrix.
+    Each is a sum of products of a function of frequency and a matrix. One side is one parity along
+    z.
 
     Attributes
     ----------
     viscous, thermal : ndarray
-        Functions of frequency in m, (n_frequencies, n_parts).
+        Functions of frequency, in m for the losses themselves and in m per unit of the parameter
+        for their derivatives, (n_frequencies, n_parts).
     sides : list of tuple of ndarray
         Stiffness and mass in the space of each side, (n_parts, n_fields, n_fields).
     """
@@ -115,12 +118,27 @@ def changed_ends(
 ) -> tuple[Complex, Complex]:
     """Return the derivatives of the lossy modes' axial wavenumbers and of their fluxes.
 
+    Parameters
+    ----------
+    system : Discretisation
+    motion : Motion
+    k : ndarray
+        Wavenumbers of free sound in the air in 1/m, (n,).
+    frequency : ndarray
+        In Hz, (n,).
+    air : Air
+
     Returns
     -------
     drift : ndarray
-        In 1/m, (n, n_modes).
+        In 1/m per unit of the parameter, (n, n_modes).
     flux : ndarray
-        (n, n_modes, n_modes).
+        Per unit of the parameter, (n, n_modes, n_modes).
+
+    Raises
+    ------
+    ConfigError
+        If two modes of an end that is not round have the same cut-on.
     """
     found = []
     odd = system.functions.odd
@@ -140,7 +158,7 @@ def moved_lossy_scattering(
     walls: WallChanges,
     ends: tuple[Complex, Complex],
 ) -> list[Complex]:
-    """Return the derivative of S of each side.
+    """Return the derivative of S with losses for each side (parity along z).
 
     Parameters
     ----------
@@ -175,7 +193,10 @@ def moved_lossy_scattering(
 
 
 def _quadratic(parts: Complex, band: LossyBand, fields: Complex) -> Complex:
-    """Return x^T dA x of fields x at all frequencies, (n, n_ports n_modes, n_ports n_modes)."""
+    """Return x^T dA x of fields x at all frequencies, (n, n_ports n_modes, n_ports n_modes).
+
+    dA is the sum of `parts`, (2 + 2 n_parts, n_span, n_span), times the band's `factors`.
+    """
     factors, flat = band.factors, parts.reshape(len(parts), -1)
     found = np.empty(band.flux.shape, complex)
     for start in range(0, len(found), MAX_MATRICES):

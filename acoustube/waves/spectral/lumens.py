@@ -15,7 +15,7 @@ from acoustube.waves.spectral.walls import Wall
 SAME = 1e-9
 """Distance in m up to which rings, or mirror images, count as equal."""
 ROUND = 1e-3
-"""Largest deviation of an end from a circle, relative to its radius."""
+"""Largest deviation from a circle, relative to its radius, of an end that counts as round."""
 NEWTON_STEPS = 30
 
 
@@ -25,8 +25,8 @@ class Rings(Protocol):
     Attributes
     ----------
     rings : ndarray
-        (n_rings, n_around, 3) in m, anticlockwise seen from the end of high z, with the first point
-        of each ring at the bottom.
+        (n_rings, n_around, 3) in m, in the order of z; points anticlockwise seen from the end of
+        high z, with the first point of each ring at the bottom.
     position : float
         Coordinate z in m that becomes the origin.
     symmetric : bool
@@ -49,9 +49,10 @@ def wall_of(lumen: Rings) -> Wall:
     Parameters
     ----------
     lumen : Rings
-        With equal first and last rings, as those of a tube beyond a press. If it has an attribute
-        `same`, rings and mirror images count as equal up to that distance in m. If it has an
-        attribute `sealing_gap`, gaps of that height in m are half sealed, with losses.
+        With equal first and last rings, as those of a tube beyond a press. Its attribute `same`,
+        where it exists, is the distance in m up to which rings, or mirror images, count as equal.
+        Its attribute `sealing_gap`, where it exists, is the height in m of a gap that is half
+        sealed in a computation with losses.
 
     Returns
     -------
@@ -152,7 +153,10 @@ class Lines:
         return place[..., 0], place[..., 1], along[..., 0], along[..., 1]
 
     def _at(self, s: Array, axis: int) -> tuple[Array, Array]:
-        """Return a coordinate (n, n_around), and its derivative by the mean z of the rings."""
+        """Return coordinate `axis` at mean heights s of rings in m, and its s derivative.
+
+        `s` and both results are (n, n_around).
+        """
         piece = np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, len(self.knots) - 2)
         t = s - self.knots[piece]
         a, b, c, d = self.coefficients[axis][:, piece, np.arange(s.shape[1])]
@@ -167,7 +171,11 @@ class Lines:
         place: Array,
         along: Array,
     ) -> tuple[Array, Array]:
-        """Make the lines straight between the round rings `rim` and `end`."""
+        """Return `place` and `along` with straight lines from ring `rim` to ring `end` and on.
+
+        They are replaced where the mask `there` is True. Beyond the ring `end` the lines are
+        parallel to z.
+        """
         start, stop = self.rings[rim], self.rings[end]
         slope = (stop[:, :2] - start[:, :2]) / (stop[:, 2:] - start[:, 2:])
         share = (height - start[:, 2]) / (stop[:, 2] - start[:, 2])

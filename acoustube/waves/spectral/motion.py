@@ -24,17 +24,19 @@ relative error of a derivative by rounding is then 1e-10, by differences 1e-7 in
 SLOPE_STEP = 1e-5
 """Distance along the tube for the z derivative of a motion, relative to the radius."""
 SAMPLES = 200
-"""Number of sections in which the wall's derivative by a parameter is evaluated for its maximum."""
+"""Number of sections at which a motion is evaluated for its maximum and its symmetries. As many
+mirror images about the middle are added."""
 ALIKE = 1e-5
-"""Largest difference between speeds that count as equal, relative to the largest speed."""
+"""Largest difference between displacements that count as equal, relative to the largest of all."""
 
 Velocity = Callable[[Array, Array], tuple[Array, Array]]
-"""Function of z (n, 1) in m and t (n_points,) that returns the displacements of the wall in x and y
-per unit of the parameter, in m per unit."""
+"""Function of z (n, 1) in m and of the contour parameter t from 0 to 2 pi, (n_points,). The values
+are the displacements of the wall in x and in y in m per unit of the motion's parameter,
+(n, n_points) each."""
 
 
 class Motion(NamedTuple):
-    """A motion, with the walls before and after a small step of the parameter.
+    """Motion of a wall with a parameter, and the walls before and after a small parameter step.
 
     Attributes
     ----------
@@ -149,12 +151,12 @@ def _require(kept: np.bool_ | bool, what: str) -> None:
 
 
 def _mirrored(speed: Array) -> Array:
-    """Return the speeds (n, n_points) at the points mirrored about x = 0."""
+    """Return velocities, (n, n_points), taken at the points mirrored about x = 0."""
     return np.roll(speed[:, ::-1], 1, axis=1)
 
 
 def _at(velocity: Velocity, z: Array, n: int) -> tuple[Array, Array]:
-    """Return a velocity at the n lines of a wall, (n_sections, n) each."""
+    """Return the x and y components of a velocity at n lines of a wall, (n_sections, n) each."""
     still = np.zeros((len(z), n))
     x, y = velocity(z[:, None], 2 * np.pi * np.arange(n) / n)
     return still + x, still + y
@@ -163,7 +165,7 @@ def _at(velocity: Velocity, z: Array, n: int) -> tuple[Array, Array]:
 def _displaced(
     wall: Wall, velocity: Velocity, t: Array, by: float
 ) -> Callable[[Array], tuple[Array, Array, Array, Array]]:
-    """Return the lines of a wall displaced by a step of the parameter."""
+    """Return the function `lines` of a wall displaced by the step `by` of the parameter."""
     h = SLOPE_STEP * wall.radius
 
     def lines(z: Array) -> tuple[Array, Array, Array, Array]:

@@ -1,4 +1,4 @@
-"""Elements along a lumen: short where its section changes, with a limit by the wavelength."""
+"""Elements along a lumen: short where the section changes, and shorter than the wavelength."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from acoustube.waves.spectral.walls import Wall
 LEAD = 0.5
 """Length of straight bore between the lumen and a port, in radii."""
 LONGEST, LONGEST_WAVE = 1.2, 0.85
-"""Largest element length in radii and in wavelengths, where the section does not change."""
+"""Largest element lengths, in radii and in wavelengths; the smaller one limits the elements."""
 FEWEST = 3
 """Least number of elements of half a lumen, because a short lumen has short features."""
 PER_CHANGE = 1.0

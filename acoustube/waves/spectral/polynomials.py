@@ -1,10 +1,11 @@
 """Polynomial basis of a section: products of Legendre polynomials in its bounding box.
 
-With X = (x - x0) / a and Y = (y - y0) / b, both within -1 to 1, the functions are combinations of
-P_i(X) P_j(Y), i + j <= N, orthonormal over the ellipse in the box. They are orthonormalised one
-after the other, so that the first ones span all polynomials of a lower degree. They do not depend
-on the section, because a rigid wall is the natural boundary condition of the weak form. All
-integrals of products of two functions over a section follow from the moments of the section,
+The box has the centre (x0, y0), half width a and half height b. With X = (x - x0) / a and
+Y = (y - y0) / b, both from -1 to 1, the functions are combinations of P_i(X) P_j(Y), i + j <= N,
+orthonormal over the ellipse in the box up to a common factor. They are orthonormalised one after
+the other, so that the first ones span all polynomials of a lower degree. As functions of X and Y
+they do not depend on the section, because a rigid wall is the natural boundary condition of the
+weak form. All integrals of products of two functions over a section follow from its moments,
 
     m_ij = int P_i(X) P_j(Y) dx dy = - closed int P_i(X) (int^Y P_j) b dx,
 
@@ -42,15 +43,16 @@ class Polynomials:
     i, j : ndarray of int
         Degree in X and in Y of the products of Legendre polynomials, (n,).
     mix : ndarray
-        Coefficients of the functions in these products, (n, n).
+        Coefficients of the functions in these products, (n, n), a row for each function.
     partner : ndarray of int
         Degrees i and j of the products that span the X derivatives, (2, n_partner).
     partner_mix : ndarray
-        Coefficients of the partners, orthonormal functions, in these, (n_partner, n_partner).
+        Coefficients of the partner functions, which are orthonormal combinations of the products
+        of `partner`, (n_partner, n_partner).
     dx : ndarray
-        Coefficients of the X derivative in the partners, (n, n_partner).
+        Coefficients of the functions' X derivatives in the partner functions, (n, n_partner).
     x_dx, dy, y_dy : ndarray
-        Coefficients of X d/dX, d/dY and Y d/dY in the functions, (n, n).
+        Matrices of X d/dX, d/dY and Y d/dY in the functions, (n, n).
     """
 
     degree: int
@@ -75,7 +77,7 @@ class Polynomials:
         return int(np.sum(self.i + self.j <= degree))
 
     def values(self, x: Array, y: Array) -> Array:
-        """Return the polynomials' values (n, ...) at points of the bounding box."""
+        """Return the polynomials' values (n, ...) at X and Y, (...), both from -1 to 1."""
         p, q = legendre(self.degree, x), legendre(self.degree, y)
         return np.tensordot(self.mix, p[self.i] * q[self.j], 1)
 
@@ -144,7 +146,10 @@ def legendre(degree: int, x: Array) -> Array:
 
 
 def integrated_legendre(degree: int, x: Array) -> Array:
-    """Return antiderivatives of the normalised Legendre polynomials, (degree + 1, ...)."""
+    """Return antiderivatives of the normalised Legendre polynomials, (degree + 1, ...).
+
+    That of degree zero is x; the others vanish at -1 and 1.
+    """
     norm = _norm(degree + 1, x)
     p = legendre(degree + 1, x) / norm
     q = np.empty((degree + 1, *np.shape(x)))
@@ -180,23 +185,24 @@ def _products(degree: int) -> Array:
 
 
 def moments(degree: int, x: Array, y: Array, dx: Array, height: Array) -> Array:
-    """Integrate the products of Legendre polynomials over sections.
+    """Return the moments of sections: integrals of products of normalised Legendre polynomials.
 
     Parameters
     ----------
     degree : int
         Highest degree in X, and in Y.
     x, y : ndarray
-        Contours, anticlockwise, in the coordinates of their boxes, (n_sections, n_points).
+        Contours, anticlockwise, in the coordinates X and Y of their boxes, (n_sections, n_points).
     dx : ndarray
-        Quadrature weights along the contour, in m, (n_sections, n_points).
+        Increments of x along the contour (dx/dt times the quadrature weight) in m,
+        (n_sections, n_points).
     height : ndarray
         Half heights b of the boxes in m, (n_sections,).
 
     Returns
     -------
     ndarray
-        In m2, (n_sections, degree + 1, degree + 1).
+        int P_i(X) P_j(Y) dx dy in m2, (n_sections, degree + 1, degree + 1).
     """
     found = np.empty((len(x), degree + 1, degree + 2))
     # Few sections at a time, so that their polynomials fit into the processor's cache.
@@ -210,7 +216,10 @@ def moments(degree: int, x: Array, y: Array, dx: Array, height: Array) -> Array:
 
 @lru_cache(maxsize=8)
 def _antiderivatives(degree: int) -> Array:
-    """Return the antiderivatives of the normalised polynomials, as coefficients of such ones."""
+    """Return the antiderivatives of the normalised polynomials, (degree + 1, degree + 2).
+
+    Each row holds the coefficients in the normalised polynomials.
+    """
     n = np.arange(degree + 1)
     norm = np.sqrt(2 * np.arange(degree + 2) + 1.0)
     found = np.zeros((degree + 1, degree + 2))
@@ -220,12 +229,12 @@ def _antiderivatives(degree: int) -> Array:
 
 
 def gram(moment: Array, degree: int, i: Index, j: Index) -> Array:
-    """Integrate products of two polynomials over sections from their moments.
+    """Return the Gram matrices of the functions P_i(X) P_j(Y) over sections, from moments.
 
     Parameters
     ----------
     moment : ndarray
-        Moments in m2, (n_sections, 2 degree + 1, 2 degree + 1).
+        Moments of the sections in m2, (n_sections, 2 degree + 1, 2 degree + 1).
     degree : int
         Highest degree of the functions in X, and in Y.
     i, j : ndarray of int
@@ -247,11 +256,12 @@ def gram(moment: Array, degree: int, i: Index, j: Index) -> Array:
 
 
 def lobatto(degree: int, x: Array) -> tuple[Array, Array]:
-    """Return the functions of a line element and their slopes.
+    """Return the shape functions of a line element from -1 to 1, and their derivatives.
 
     Parameters
     ----------
     degree : int
+        Degree of the element.
     x : ndarray
         Points from -1 to 1, (n,).
 

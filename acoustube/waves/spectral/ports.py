@@ -1,13 +1,15 @@
 """Round ends: their modes, and scattering matrices from the impedance matrix of a lumen.
 
-The impedance matrix Z gives the modal pressures from the modal fluxes into a lumen whose ends are
-otherwise rigid. Ingoing and outgoing waves, a and b, have pressures (a + b) / sqrt(kz) and fluxes
-j sqrt(kz) (a - b), so that with D = sqrt(j kz) and Q = D Z D
+The impedance matrix Z gives the modal pressures from the modal fluxes (outward normal derivatives
+of the pressure) of a lumen whose ends are otherwise rigid. Ingoing and outgoing waves, a and b,
+have pressures (a + b) / sqrt(kz) and fluxes j sqrt(kz) (a - b), so that with D = sqrt(j kz) and
+Q = D Z D
 
     b = S a,    S = (I + Q)^-1 (Q - I),
 
-which is regular at cut-ons, where D vanishes. Modes far below their cut-on are terminated by
-their evanescent impedance: sqrt(kt^2 - k^2), linearised in k^2 about a wavenumber in the band.
+which is regular at cut-ons, where D vanishes. Modes far below their cut-on are terminated by their
+evanescent impedance: sqrt(kt^2 - k^2) with the cut-on wavenumber kt, linearised in k^2 about half
+the square of the highest wavenumber.
 """
 
 from __future__ import annotations
@@ -24,25 +26,28 @@ from acoustube.waves.spectral.polynomials import Array, Polynomials, gauss
 Complex = NDArray[np.complexfloating[Any, Any]]
 
 MARGIN = 1.3
-"""Margin of j' over the largest k R for port modes: modes that propagate, or almost propagate."""
+"""Port modes have j' up to the largest k R plus this margin: they propagate or almost propagate. j'
+is the cut-on wavenumber times the radius R."""
 EVANESCENT_RANGE = 12.0
 """Range of j' beyond the port modes in which evanescent modes are terminated by their impedance."""
 
 
 @dataclass(frozen=True, eq=False)
 class PortModes:
-    """Modes of a round bore of one symmetry about x = 0, or of both, in the order of their cut-ons.
+    """Modes of an end of one symmetry about x = 0, or of both, in the order of their cut-ons.
 
     Attributes
     ----------
     names : tuple of str
-        As ``00``, ``11c``, ``21s``.
+        As ``00``, ``11c``, ``21s``: for an end that is not round, those of a round bore's modes of
+        the same symmetry and rank.
     m : ndarray of int
-        Nodal diameters, (n,).
+        Nodal diameters of the mode in a round bore, (n,).
     zeros : ndarray
-        j'mn, (n,).
+        Cut-on wavenumbers times the radius, for a round bore j'mn, (n,).
     sine : ndarray of bool
-        True for sin(m phi), False for cos(m phi), phi from -y towards +x, (n,).
+        True for modes antisymmetric about x = 0, False for symmetric ones, (n,): in a round bore
+        sin(m phi) and cos(m phi), phi from -y towards +x.
     """
 
     names: tuple[str, ...]
@@ -54,12 +59,15 @@ class PortModes:
         return len(self.names)
 
     def part(self, which: slice) -> PortModes:
-        """Return some of the modes."""
+        """Return the modes in a slice."""
         return PortModes(self.names[which], self.m[which], self.zeros[which], self.sine[which])
 
 
 def port_modes(highest: float, odd: bool | None, lowest: float = -1.0) -> PortModes:
-    """Return the modes with `lowest` < j'mn <= `highest`."""
+    """Return the modes of a round bore with `lowest` < j'mn <= `highest`.
+
+    `odd` is True for those antisymmetric about x = 0, False for the symmetric ones; None for both.
+    """
     found = [] if odd else [(0.0, "00", 0, False)]
     for m in range(int(highest) + 1):
         zeros = jnp_zeros(m, int(highest / 2) + 2)
@@ -81,14 +89,14 @@ def port_modes(highest: float, odd: bool | None, lowest: float = -1.0) -> PortMo
 
 
 def port_functions(modes: PortModes, basis: Polynomials, box: Array, radius: float) -> Array:
-    """Integrate polynomials times the normalised modes over a round end.
+    """Integrate polynomials times the modes, of unit integral of the square, over a round end.
 
     Parameters
     ----------
     modes : PortModes
     basis : Polynomials
     box : ndarray
-        x0, a, y0, b of the end in m, (4,).
+        Centre and half width in x, then in y, of the end's box in m: x0, a, y0, b, (4,).
     radius : float
         In m.
 
@@ -126,7 +134,10 @@ def axial_wavenumbers(k: Array, zeros: Array, radius: float) -> Complex:
 
 
 def scattering_of(response: Complex | Array, kz: Complex) -> Complex:
-    """Return the scattering matrix S (n_frequencies, n, n) of an impedance matrix Z."""
+    """Return the scattering matrix S of an impedance matrix Z in m, (n_frequencies, n, n) each.
+
+    `kz` are the axial wavenumbers of the n modes at the ports in 1/m, (n_frequencies, n).
+    """
     root = np.sqrt(1j * kz)
     q = root[:, :, None] * response * root[:, None, :]
     one = np.eye(q.shape[-1])
@@ -142,9 +153,11 @@ def changed_scattering(
     ----------
     response, change : ndarray
         Impedance matrix and its change in m, (n_frequencies, n, n).
-    kz, drift : ndarray
-        Axial wavenumbers and their change in 1/m, (n_frequencies, n); the change is zero by
-        default. It has to be zero where kz is zero, at a cut-on.
+    kz : ndarray
+        Axial wavenumbers in 1/m, (n_frequencies, n).
+    drift : ndarray, optional
+        Changes of `kz` in 1/m, zero by default. They have to be zero where `kz` is zero, at a
+        cut-on.
     """
     root = np.sqrt(1j * kz)
     if drift is not None:
@@ -156,10 +169,11 @@ def changed_scattering(
 
 
 def of_both_ports(found: list[Complex]) -> Complex:
-    """Return S at the ports, (n, 2, m, 2, m), from that of each parity, or that of both ports.
+    """Return S at the ports, (n, 2, m, 2, m), from one matrix per parity along z.
 
-    A lumen symmetric about its middle has two parities: the fields symmetric about the middle, and
-    the antisymmetric ones.
+    A lumen symmetric about its middle has two parities: the fields symmetric about the middle, then
+    the antisymmetric ones, with matrices (n, m, m) at one port. Any other lumen has one matrix,
+    (n, 2 m, 2 m), of both ports.
     """
     n, size = found[0].shape[:2]
     if len(found) == 1:

@@ -26,7 +26,8 @@ class AxialRule(NamedTuple):
     z : ndarray
         Coordinates z in m, rising, (n_points,).
     point, weight : ndarray
-        Local coordinate from -1 to 1 in the element, and weight, (n_points,).
+        Local coordinate from -1 to 1 in the element, and quadrature weight over that coordinate,
+        (n_points,).
     element : ndarray of int
         Number of the element, (n_points,).
     edges : ndarray
@@ -45,7 +46,10 @@ class AxialRule(NamedTuple):
         return slice(int(low), int(high))
 
     def only(self, elements: Index) -> AxialRule:
-        """Return the rule of some elements, in rising order, as if they were adjacent."""
+        """Return the rule of some elements, given in rising order, as if they were adjacent.
+
+        The elements are renumbered from 0, and `edges` starts at 0 m; `z` remains.
+        """
         here = np.isin(self.element, elements)
         edges = np.concatenate([[0.0], np.cumsum(self.step[elements])])
         number = np.searchsorted(elements, self.element[here])

@@ -14,7 +14,8 @@ from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex
 
 DEPENDENCE_TOLERANCE = 1e-12
-"""Singular value of normalised fields outside the span, below which a direction is dropped."""
+"""Singular value of the parts of normalised fields outside the span, below which a direction is
+dropped."""
 
 NO_MASS, NEGATIVE_MASS = 1e-12, -1e-8
 """Eigenvalues of scaled M, relative to the largest: below the first a direction has no mass except
@@ -27,7 +28,7 @@ MAX_MATRICES = 32
 
 
 class Reduced(NamedTuple):
-    """Galerkin projection onto fields that are even or odd in z.
+    """Galerkin projection of a lumen onto fields of one parity along z, or of none.
 
     Attributes
     ----------
@@ -49,7 +50,7 @@ class Reduced(NamedTuple):
     ports: Array
 
     def first(self, n: int) -> Reduced:
-        """Return the projection on the first n fields."""
+        """Return the projection on the first n of `fields`, without corrections."""
         return self._replace(
             fields=self.fields[..., :n], corrections=self.corrections[..., :0],
             stiffness=self.stiffness[:n, :n], mass=self.mass[:n, :n], ports=self.ports[:n],
@@ -57,7 +58,7 @@ class Reduced(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Number of fields of the reduced basis."""
+        """Number of fields of the reduced basis, corrections included."""
         return len(self.ports)
 
 
@@ -95,23 +96,23 @@ def corrected(system: Discretisation, before: Reduced, corrections: Array) -> Re
 
 
 def ritz(stiffness: Array, mass: Array) -> tuple[Array, Array]:
-    """Return the squared wavenumbers of a projection's modes, and the modes of unit mass.
+    """Return the squared wavenumbers k^2 and modes v of a projection, K v = k^2 M v.
 
     Parameters
     ----------
     stiffness, mass : ndarray
-        (r, r).
+        K and M, (r, r).
 
     Returns
     -------
     square, vector : ndarray
-        Squared wavenumbers in 1/m2, (m,), and modes, (r, m); m < r where functions are linearly
-        dependent to rounding.
+        Squared wavenumbers in 1/m2, (m,), and modes as columns of unit mass, (r, m); m < r where
+        functions are linearly dependent to rounding.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        If the mass of a direction is negative.
+        If the mass of a direction is negative, because sections overlap themselves.
 
     Notes
     -----
@@ -135,7 +136,7 @@ def ritz(stiffness: Array, mass: Array) -> tuple[Array, Array]:
 
 
 def projected(system: Discretisation, matrix: Array, space: Reduced) -> Array:
-    """Return the projection (r, r) of matrices of the elements in polynomials."""
+    """Return the projection (r, r) of element matrices (n_elements, size, size) in polynomials."""
     fields, corrections = system.in_polynomials(space.fields, space.corrections)
     everything = np.zeros((*matrix.shape[:2], space.size))
     n, count = system.layout.n_basis, fields.shape[-1]
@@ -144,14 +145,17 @@ def projected(system: Discretisation, matrix: Array, space: Reduced) -> Array:
 
 
 def _orthonormal(new: Array, old: Array) -> Array:
-    """Orthonormalise fields against the old ones, and drop linearly dependent ones."""
+    """Return the new fields, orthonormalised among themselves and against the old fields.
+
+    Linearly dependent fields are dropped. Fields are (n_elements, n, n_fields).
+    """
     shape = new.shape[:2]
     flat = new.reshape(-1, new.shape[-1])
     known = old.reshape(len(flat), old.shape[-1])
     flat = flat / np.linalg.norm(flat, axis=0)
     flat -= known @ (known.T @ flat)
-    # By singular values, not by the diagonal of R: a field dropped there would be missing from
-    # later ones.
+    # By singular values, not by the diagonal of R: a field dropped by its diagonal entry would be
+    # missing from later fields.
     _, size, turned = np.linalg.svd(np.linalg.qr(flat, mode="r"))
     kept = size > DEPENDENCE_TOLERANCE
     flat = flat @ (turned[kept].T / size[kept])
@@ -195,9 +199,10 @@ class LossyBand(NamedTuple):
     wavenumber : ndarray
         Wavenumber of free sound in the air in 1/m, (n,).
     viscous, thermal : ndarray
-        Factors of the wall's stiffness and of its mass in m, (n, n_parts).
+        Factors in m of the wall's stiffness, and of its mass times k^2, (n, n_parts).
     flux : ndarray
-        Components of the flux of each lossy mode in the lossless ones, (n, n_ports n_modes, ...).
+        Components along the lossless modes (rows) of the flux of each lossy mode (columns),
+        (n, n_ports n_modes, n_ports n_modes).
     """
 
     wavenumber: Complex
@@ -206,19 +211,26 @@ class LossyBand(NamedTuple):
     flux: Complex
 
     def at(self, which: NDArray[np.intp]) -> LossyBand:
-        """Return the data of some frequencies."""
+        """Return the factors at the frequencies with the indices `which`."""
         return LossyBand(*(part[which] for part in self))
 
     @property
     def factors(self) -> Complex:
-        """Factors of K, of M and of the wall's stiffness and mass, (n, 2 + 2 n_parts)."""
+        """Factors in the system matrix of K, M and the wall's matrices, (n, 2 + 2 n_parts).
+
+        The wall's matrices are all of `stiffness`, then all of `mass`.
+        """
         square = self.wavenumber[:, None] ** 2
         one = np.ones_like(square)
         return np.concatenate([one, -square, -self.viscous, -square * self.thermal], axis=1)
 
 
 def lossy_model(reduced: Reduced, wall: list[tuple[Array, Array]]) -> LossyModel:
-    """Return a lumen's matrices with boundary layers, from those without and the wall's (K, M)."""
+    """Return the matrices of a lumen with boundary layers in the basis of its lossless modes.
+
+    `wall` has the wall's stiffness and mass in the space of `reduced`, (r, r) each, for every
+    function of position of the losses.
+    """
     square, vector = ritz(reduced.stiffness, reduced.mass)
     stiffness, mass = (
         np.stack([vector.T @ part @ vector for part in parts]) for parts in zip(*wall, strict=True)
@@ -233,7 +245,7 @@ def lossy_fields(model: LossyModel, band: LossyBand, blocks: int = 1) -> Complex
     -------
     ndarray
         Coefficients of the r lossless modes, (n_frequencies, blocks, r, n_ports n_modes). Each
-        block after the first is excited by the one before it.
+        block after the first is the response to M times the preceding block, scaled to norm one.
     """
     found = np.empty((len(band.wavenumber), blocks, *model.ports.shape), complex)
     diagonal = np.diag_indices(len(model.square))
@@ -247,7 +259,7 @@ def lossy_fields(model: LossyModel, band: LossyBand, blocks: int = 1) -> Complex
         factors = lu_factor(matrix, check_finite=False, overwrite_a=True)
         load = model.ports @ flux
         for block in range(blocks):
-            # M is one in these coordinates.
+            # M is the identity matrix in these coordinates.
             load = lu_solve(factors, load / np.linalg.norm(load) ** (block > 0), check_finite=False)
             found[number, block] = load
     return found
@@ -271,7 +283,7 @@ class LossySolution(NamedTuple):
 def lossy_impedance(
     model: LossyModel, band: LossyBand, columns: Complex, tolerance: float = SAMPLE_TOLERANCE
 ) -> tuple[Complex, LossySolution]:
-    """Return the impedance matrix between the ports' lossy modes in m, (n_frequencies, n, n).
+    """Return the impedance matrix between the ports' lossy modes, and the solution that gives it.
 
     Parameters
     ----------
@@ -282,6 +294,12 @@ def lossy_impedance(
         projection. They are also the test functions, because the system matrix is symmetric.
     tolerance : float
         Singular value of the columns, relative to the largest, below which a direction is dropped.
+
+    Returns
+    -------
+    impedance : ndarray
+        In m, (n_frequencies, n_ports n_modes, n_ports n_modes).
+    solution : LossySolution
     """
     turned, size, _ = svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)
     span = turned[:, size > tolerance * size[0]]

@@ -18,15 +18,18 @@ ERROR_QUANTILE = 0.95
 class SpectralScattering(ModalScattering):
     """Scattering of duct modes by a lumen, from the spectral solver.
 
+    The sizes `degree`, `n_elements`, `n_shifts` and `n_fields` are the larger of those for the
+    modes symmetric and antisymmetric about x = 0.
+
     Attributes
     ----------
     derivative : ndarray or None
-        Derivative of `s` with respect to the parameter that moves the wall, of the shape of `s`;
-        None if no motion was given.
+        Derivative of `s` with respect to the parameter that moves the wall, per unit of it, of the
+        shape of `s`; None if no motion was given.
     error : ndarray
         Estimated largest error of the coefficients at each frequency, (n,).
     tolerance : float
-        Requested tolerance.
+        Requested largest error of a coefficient.
     degree : int
         Highest total degree of the polynomials across the tube.
     n_elements : int
@@ -47,12 +50,12 @@ class SpectralScattering(ModalScattering):
 
     @property
     def typical_error(self) -> float:
-        """Estimated error of the coefficients that 95 % of the frequencies do not exceed."""
+        """95 % quantile of `error` over the frequencies."""
         return float(np.quantile(self.error, ERROR_QUANTILE))
 
     @property
     def excess(self) -> str:
-        """Sentence on the frequencies at which the error exceeds the tolerance; empty if none."""
+        """Warning with the number of frequencies whose error exceeds the tolerance, or empty."""
         over = int((self.error > self.tolerance).sum())
         if not over:
             return ""

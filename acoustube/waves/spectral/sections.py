@@ -39,11 +39,14 @@ class SurfaceRings:
         Coordinate z in m that becomes the origin.
     symmetric : bool
         True if symmetric about x = 0.
+    same : float
+        Distance in m up to which rings, or mirror images, count as equal.
     """
 
     rings: Array
     position: float
     symmetric: bool
+    same: float
 
 
 def rings_of_surface(surface: trimesh.Trimesh, position: float = 0.0) -> SurfaceRings:
@@ -83,7 +86,7 @@ def rings_of_surface(surface: trimesh.Trimesh, position: float = 0.0) -> Surface
     if symmetric:
         rings = (rings + mirrored) / 2
     rings[[0, 1]], rings[[-2, -1]] = _straightened(rings, ALIKE * size)
-    return SurfaceRings(rings, position, symmetric)
+    return SurfaceRings(rings, position, symmetric, ALIKE * size)
 
 
 def _contour(surface: trimesh.Trimesh, height: float, n: int) -> Array:

@@ -1,4 +1,4 @@
-"""Scattering of a lumen over a band, adaptively refined to an error tolerance.
+"""Scattering matrix of a lumen over a band, adaptively refined to an error tolerance.
 
 The discrete wave equation is solved at a few squared wavenumbers, the shifts. The solutions and
 their k^2 derivatives span a space in which the whole band is then solved, a rational Krylov space
@@ -7,7 +7,8 @@ their k^2 derivatives span a space in which the whole band is then solved, a rat
 * errors of the degree across the tube, and of the elements along it: at each shift the residual is
   solved for in the functions that the basis lacks (the next two degrees; one more degree along each
   element), and these corrections are added to the reduced space;
-* error of the shifts: shifts are added where the last block of each shift changes S.
+* error of the shifts: shifts are added where S changes when the last Krylov block of every shift is
+  added.
 
 S is taken from the largest space. Its error estimate is `ERROR_SAFETY` times the sum of the
 truncation error, extrapolated from these changes, and of the error of the shifts.
@@ -57,18 +58,20 @@ from acoustube.waves.spectral.result import ERROR_QUANTILE, SpectralScattering
 from acoustube.waves.spectral.walls import Wall
 
 ERROR_SAFETY, LOSSY_SAFETY = 2.0, 4.0
-"""Ratios of the error estimate to the changes of S, without losses and with them. The enriched
-spaces have errors too, and with losses the changes are known at a few frequencies only."""
+"""Factors from changes of S to its error estimate. `ERROR_SAFETY` is for changes without losses,
+because the enriched spaces have errors too. `LOSSY_SAFETY` is for changes with losses, which are
+known at a few frequencies only."""
 POORER = 4, 2
-"""Differences of degree, across the tube and along the elements, between the basis and the poorer
+"""Difference of degree across the tube, and along the elements, between the basis and the poorer
 one for the error estimate of flat lumens with losses."""
 LEAST_ERROR = 3e-6
-"""Error that is added for the integrals over walls given by rings, including a safety factor."""
+"""Error of S by the quadrature over walls with knots (given by rings), including a safety factor.
+It is added to the error estimate."""
 ERROR_WINDOW = 3
-"""Number of frequencies on either side over which the largest error is taken, because an error may
-pass through zero."""
+"""Number of frequencies on either side over which the largest error is taken, because an estimated
+error may pass through zero."""
 FIRST_SHARE = 0.5
-"""Initial bound of the errors by degree and by elements, as a fraction of the tolerance."""
+"""Initial bound, as a fraction of the tolerance, of the error by degree and of that by elements."""
 MAX_SOLUTIONS = 2
 """Largest number of solutions of the whole band."""
 
@@ -88,7 +91,11 @@ class _Task:
 
 
 class _Part(NamedTuple):
-    """Scattering matrices of one symmetry, (n, 2, m, 2, m), with errors (n,) and basis sizes."""
+    """S of the m modes of one symmetry about x = 0, its derivative `moved`, and its error.
+
+    `s` and `moved` are (n, 2, m, 2, m), `error` is (n,). `zeros` are the modes' cut-on wavenumbers
+    times the radius, (m,), and `heights` the coordinates z of both ports in m.
+    """
 
     names: tuple[str, ...]
     zeros: Array
@@ -121,7 +128,7 @@ def scatter_spectral(
     frequency : ndarray
         Rising frequencies in Hz, (n,).
     tolerance : float
-        Largest error of a coefficient.
+        Largest error of a coefficient, from 1e-6 to 0.1.
     reference : tuple of float
         Reference planes of the ports at low z and at high z: coordinates z in m, in the system of
         the wall. The ends are continued straight to these planes.
@@ -130,9 +137,8 @@ def scatter_spectral(
     symmetric_only : bool
         For a lumen symmetric about x = 0, compute the symmetric modes only.
     velocity : callable, optional
-        Motion of the wall: takes z (n, 1) in m and t (n_points,), and returns the displacements of
-        the wall in x and y per unit of a parameter. The result then has the derivative of S with
-        respect to this parameter.
+        Motion of the wall: takes z (n, 1) in m and t (n_points,) from 0 to 2 pi, and returns the
+        displacements in x and y in m per unit of a parameter, by which S is then differentiated.
 
     Returns
     -------
@@ -141,16 +147,19 @@ def scatter_spectral(
     Raises
     ------
     ConfigError
-        If the frequencies do not rise, the tolerance is outside 1e-6 to 0.1, or the motion lacks a
-        symmetry of the wall.
+        If the frequencies are not positive and rising, the tolerance is out of range, or an end's
+        section overlaps itself or is too slender. Also if the motion lacks a symmetry of the wall,
+        differs between the ends, makes round ends not round, or moves ends with equal cut-ons.
+    numpy.linalg.LinAlgError
+        If sections of the lumen overlap themselves.
 
     Notes
     -----
-    At a resonance so narrow that no basis tried meets the tolerance, the result's `error` exceeds
-    it. During the solution BLAS is limited to one thread in the whole process.
+    Where a resonance is too narrow for every basis tried, `error` of the result exceeds
+    `tolerance`. BLAS is limited to one thread in the whole process during the solution.
     """
     frequency = np.asarray(frequency, float)
-    if frequency.ndim != 1 or not (frequency[0] > 0 and np.all(np.diff(frequency) > 0)):
+    if frequency.ndim != 1 or not np.all(np.diff(frequency, prepend=0.0) > 0) or not frequency.size:
         raise ConfigError("frequency must be positive and increasing; give a 1-D array in Hz")
     if not 1e-6 <= tolerance <= 0.1:
         raise ConfigError(f"tolerance = {tolerance:g} is outside 1e-6 to 0.1")
@@ -222,7 +231,7 @@ def _part(task: _Task, odd: bool | None) -> _Part:
         wanted *= 0.5 * tolerance / typical
     if task.lossy:
         s, moved, kz, drift, lacking = _with_losses(task, system, spaces, sizes)
-        # Errors of the basis without losses, as at cut-ons, are also errors with losses.
+        # Errors of the basis without losses, for example at cut-ons, are also errors with losses.
         error = np.maximum(error, _estimated(LOSSY_SAFETY * lacking, wall))
         if basis.flat:
             poorer = _change_from_poorer_basis(task, odd, basis, s)
@@ -268,9 +277,12 @@ def _without_losses(
 def _with_losses(
     task: _Task, system: Discretisation, spaces: list[Reduced], sizes: list[int]
 ) -> tuple[Complex, Complex, Complex, Complex, Array]:
-    """Return S, its derivative, the ends' wavenumbers and their derivative, and the error of S."""
+    """Return S, its derivative, the ends' axial wavenumbers and their derivative, and S's error.
+
+    The error, (n,), is the largest change of S in a smaller space.
+    """
     assert system.layers is not None
-    # Without corrections: those of the lossless fields are not those of the fields with losses.
+    # Without corrections, which were computed for the lossless fields.
     spaces = [space.first(space.fields.shape[-1]) for space in spaces]
     frequency, air = task.frequency, task.air
     series, walls = wall_projections(system, system.layers, spaces, frequency, air)
@@ -288,7 +300,7 @@ def _with_losses(
 
 
 def _estimated(error: Array, wall: Wall) -> Array:
-    """Return the estimated error at each frequency, from the largest changes nearby."""
+    """Return the largest error within `ERROR_WINDOW` of each frequency, plus that by quadrature."""
     least = LEAST_ERROR if len(wall.knots) else 0.0
     return least + maximum_filter1d(error, 2 * ERROR_WINDOW + 1)
 

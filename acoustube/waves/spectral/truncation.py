@@ -7,9 +7,9 @@ higher degrees contribute as much again. If the energies fall by a factor q from
 degree to the next, the whole truncation error is 1 / (1 - q) times the change by the first step; q
 is taken from the highest degrees of the solution itself.
 
-Along the tube this extrapolation fails, because of features of the wall: wrinkles of the length of
-the mesh's elements, two in a line element, add coefficients of degrees 10 to 13 to a field whose
-own coefficients have decayed at lower degrees. The residual is therefore integrated against
+Along the tube this extrapolation fails, because of features of the wall: wrinkles as long as an
+element of the press's mesh, two to a line element, add coefficients of degrees 10 to 13 to a field
+whose own coefficients have decayed at lower degrees. The residual is therefore integrated against
 `MORE_DEGREES` further degrees, point by point, and solved for with each element's mean section.
 """
 
@@ -56,13 +56,19 @@ def excess_across(system: Discretisation, responses: dict[float, list[Response]]
 def missing_along(
     system: Discretisation, responses: dict[float, list[Response]]
 ) -> dict[float, list[Array]]:
-    """Return the corrections of Z by `MORE_DEGREES` along each element, (n_elements, n, n) each.
+    """Return the corrections of Z in m by `MORE_DEGREES` further degrees along each element.
 
     Parameters
     ----------
     system : Discretisation
     responses : dict
-        Responses, with n loads of the ports' modes, by squared wavenumber in 1/m2.
+        Responses by squared wavenumber in 1/m2.
+
+    Returns
+    -------
+    dict
+        For each squared wavenumber a list with one array for each parity along z,
+        (n_elements, n_ports n_modes, n_ports n_modes).
     """
     rule, first = system.rule, system.layout.order + 1
     value, slope = lobatto(first - 1 + MORE_DEGREES, rule.point)
@@ -81,7 +87,7 @@ def missing_along(
                 np.tensordot(part[:first, here].T, own[number], 1) for part in (value, slope / h)
             )
             mass, along, across = (part[here] for part in system.sections)
-            # Flow along the tube, and sources minus the flow across the tube.
+            # Factors of L_j' and of L_j in the residual of the wave equation.
             flow = mass @ rise + along @ field
             source = along.swapaxes(1, 2) @ rise + across @ field - shift * (mass @ field)
             residual = np.tensordot(rule.weight[here] * slope[first:, here], flow, 1)
@@ -98,7 +104,7 @@ def missing_along(
 
 
 def _coefficients(system: Discretisation, fields: Array) -> Array:
-    """Return coefficients in functions along and across, (n_elements, order + 1, n, n_fields)."""
+    """Return the coefficients of L_j P_i of fields, (n_elements, order + 1, n, n_fields)."""
     layout = system.layout
     nothing = np.zeros((len(fields), layout.n_higher, 0))
     own = system.in_polynomials(fields, nothing)[0]
@@ -106,7 +112,7 @@ def _coefficients(system: Discretisation, fields: Array) -> Array:
 
 
 def _mean_modes(system: Discretisation) -> tuple[Array, Array]:
-    """Return the squared wavenumbers of the elements' mean sections in 1/m2, and their modes."""
+    """Return the squared wavenumbers in 1/m2 and the modes of each element's mean section."""
     rule, sections = system.rule, system.sections
     starts = np.searchsorted(rule.element, range(len(rule.step)))
     means = []

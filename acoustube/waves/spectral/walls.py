@@ -23,13 +23,14 @@ LEAST_POINTS, MOST_POINTS = 1, 8
 
 
 class Contours(NamedTuple):
-    """Sampled contours of sections, each quantity (n_sections, n_points) in m.
+    """Contours of sections at quadrature points, each quantity (n_sections, n_points).
 
     Attributes
     ----------
     x, y : ndarray
+        Points in m.
     x_t, y_t : ndarray
-        Derivatives along the contour, with respect to t.
+        Derivatives with respect to t, in m.
     x_z, y_z : ndarray
         Derivatives along the tube, at constant t, dimensionless.
     t : ndarray
@@ -73,11 +74,12 @@ class Wall:
     circular : bool
         False if the ends are straight, but not round.
     sealing_gap : float
-        Height in m of a gap that is half sealed, with losses; see `layers.SEALING_WIDTH`.
+        Height in m of a gap that is half sealed in a computation with losses; zero if no gap is
+        sealed. See `layers.SEALING_WIDTH`.
     knots : ndarray
-        Coordinates z in m between which the wall is smooth.
+        Coordinates z in m between which the wall is smooth; empty if it is smooth everywhere.
     unmoved : Wall or None
-        The wall of which this one is a small displacement.
+        The wall of which this one is a small displacement, or None.
     """
 
     lines: Callable[[Array], tuple[Array, Array, Array, Array]]
@@ -154,20 +156,21 @@ def analytic_wall(
     symmetric: bool = True,
     reversible: bool = False,
 ) -> Wall:
-    """Return a wall from its formula.
+    """Return the wall of a lumen with round ends from a formula.
 
     Parameters
     ----------
     shape : callable
-        Takes z (n, 1) and t (n_points,) and returns x, y and their z derivatives, in m.
+        Takes z (n, 1) in m and t (n_points,) from 0 to 2 pi, and returns x and y in m and their z
+        derivatives, each (n, n_points) or of a shape that broadcasts to it.
     ends : tuple of float
-        Start and end in m of the part that is not straight.
+        Start and end, z in m, of the part that is not straight.
     radius : float
         Radius of the ends in m.
     n_points : int
         Number of points around; even, with the first at the bottom if symmetric about x = 0.
     symmetric, reversible : bool
-        True if symmetric about x = 0, and about the middle between the ends.
+        True if symmetric about x = 0, and if symmetric about the plane midway between the ends.
 
     Returns
     -------
