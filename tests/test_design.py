@@ -31,8 +31,8 @@ from acoustube.inversion.design.prediction import HALF_WAVES, electronics_of, sc
 from acoustube.lumen import pressed_part
 from acoustube.ranging import Burst, Chirp, Rangefinder
 from acoustube.runs import presses, sound
-from acoustube.runs.config import load_config
-from acoustube.runs.config.goal import DesignGoal, Goal, Variables, in_toml, read_goal
+from acoustube.runs.config import load_config, to_toml
+from acoustube.runs.config.goal import DesignGoal, Goal, Variables, read_goal
 from acoustube.runs.design import choice as choosing
 from acoustube.runs.design import run as running
 from acoustube.runs.design import search as searching
@@ -397,7 +397,7 @@ def test_tubes_that_kink_on_the_arm_are_not_tried():
 
 def test_goal_is_read_back_from_its_own_file(tmp_path):
     design = DesignGoal(goal=Goal(tools_mm=(10, 25), support="arm"), variables=Variables(bits=14))
-    (tmp_path / "goal.toml").write_text(in_toml(design))
+    (tmp_path / "goal.toml").write_text(to_toml(design))
     assert read_goal(tmp_path / "goal.toml") == design
 
 

@@ -23,7 +23,7 @@ from acoustube.inversion.doubt import doubted
 from acoustube.inversion.fit import Fits, maximise
 from acoustube.inversion.hypotheses import Builder, Hypothesis
 from acoustube.inversion.likelihood import echo_of, weights, whitened
-from acoustube.inversion.parameters import odds_of, split
+from acoustube.inversion.parameters import cost_of_press, split
 from acoustube.inversion.peeling import peeled
 from acoustube.inversion.search import Templates, front_of
 from acoustube.inversion.tables import ToolTable
@@ -192,6 +192,6 @@ def test_a_press_is_credited_beyond_its_own_small_error_of_the_model(model, monk
     more = builder.settled(Hypothesis((0,) * 3, start, 0.0, builder.quiet, 0.0, 0.0))
     fewer = builder.pruned(more)[-1]
     assert more.error <= doubt.SMALL_ERROR < fewer.error
-    assert fewer.deviance - doubted(builder, fewer, more).deviance > odds_of(3)
+    assert fewer.deviance - doubted(builder, fewer, more).deviance > cost_of_press(3)
     monkeypatch.setattr(doubt, "SMALL_ERROR", 0.0)
     assert fewer.deviance - doubted(builder, fewer, more).deviance < 0

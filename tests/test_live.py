@@ -399,7 +399,7 @@ def test_command_finds_every_cycle_and_ends_when_the_cable_is_cut(board):
     assert command.returncode == 1
     assert "41 cycles at" in output
     assert "echoes in 41, 1 garbled, 0 dropped, latency" in " ".join(output.split())
-    assert "joined in the middle" in " ".join(output.split())
+    assert "reception began within a frame" in " ".join(output.split())
     told = " ".join(errors.split())
     assert "was cut off after 41 intact cycles, a.csv holds them; connect the board" in told
     assert "Traceback" not in errors

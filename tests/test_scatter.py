@@ -268,7 +268,7 @@ def test_command_writes_the_matrix_of_a_straight_tube():
     assert press.propagates.sum() == 11 + 2 * 3
     # A straight tube is cut in its middle.
     assert press.extent == pytest.approx((-0.001, 0.001), abs=2e-3)
-    with pytest.raises(ConfigError, match=r"lumen.stl is not a file of this version's"):
+    with pytest.raises(ConfigError, match=r"lumen.stl is not a file that acoustube scatter of"):
         read("lumen.stl")
     with pytest.raises(ConfigError, match=r"missing.nc does not exist; write one"):
         read("missing.nc")

@@ -40,7 +40,10 @@ def refused(words, code=2, command=ECHO):
 def test_a_model_is_trained_and_its_errors_are_written():
     result = run_here(*ECHO)
     assert result.returncode == 0, result.stderr
-    assert "70 cycles, echoes in 70; echo learns distance, depth, force from 70" in result.stdout
+    assert (
+        "70 cycles, echoes in 70; the estimator echo learns distance, depth, force from 70"
+        in result.stdout
+    )
     assert "epoch 1 of 4: loss" in result.stdout
     assert "held-out loss" in result.stdout
     result = run_here("evaluate", "m.model", "a.nc", "--out", "t.csv", "--figure", "f.png")

@@ -26,7 +26,7 @@ class Effort(Checked):
     seed : int
         Random seed of the first tubes.
     robust : bool
-        Robustness computed too: how errors change with bore, hardness and temperature.
+        Also compute how the errors change with bore, hardness and temperature.
     """
 
     tubes: Annotated[int, WHOLE, Number(1, 2000, "", "tubes", whole=True)] = 40

@@ -206,6 +206,8 @@ class _Files:
 
     def contents(self) -> dict[Path, bytes | str]:
         """Return the contents of the requested files."""
+        from acoustube.reports.figures.posterior import posterior_figure
+        from acoustube.reports.figures.run import picture
         from acoustube.runs.two_ends import LIMIT_COLUMNS
 
         found: dict[Path, bytes | str] = {}
@@ -214,7 +216,8 @@ class _Files:
             csv.writer(table, lineterminator="\n").writerows([LIMIT_COLUMNS, *self.rows])
             found[self.limits] = table.getvalue()
         if self.figure is not None and self.shown is not None:
-            found[self.figure] = _drawn(self.shown, self.library, self.figure)
+            sheet = posterior_figure(self.shown, self.library)
+            found[self.figure] = picture(sheet, self.figure)
         return found
 
 
@@ -231,11 +234,3 @@ def _check(
     if not files:
         raise ConfigError("invert needs a file or a folder; name one or more")
     check_files(out=out, figure=figure, detection_limits=limits)
-
-
-def _drawn(found: EndsContacts, library: Library, figure: Path) -> bytes:
-    """Return a picture of echoes, posterior and limit of detection along the tube."""
-    from acoustube.reports.figures.posterior import posterior_figure
-    from acoustube.reports.figures.run import picture
-
-    return picture(posterior_figure(found, library), figure)

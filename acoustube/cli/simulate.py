@@ -64,11 +64,12 @@ def run_simulation(config: Config, folder: Path, report: ConsoleReporter) -> Pat
     Raises
     ------
     ConfigError
-        If the folder cannot be made.
+        If the folder cannot be made, or the depth is zero.
     SimulationError
         If a stage cannot finish.
     """
     from acoustube.base.netcdf import write_dataset
+    from acoustube.reports.figures import run as run_figure
     from acoustube.reports.scenes import tube as tube_scene
     from acoustube.runs.simulate import simulate as simulated
 
@@ -87,7 +88,8 @@ def run_simulation(config: Config, folder: Path, report: ConsoleReporter) -> Pat
             write_dataset(dataset, partial / "run.nc")
             write(partial / "config.toml", to_toml(config))
             images = pictures()
-            _write_figure(dataset, images, partial)
+            figure = partial / "figure.png"
+            write(figure, run_figure.picture(run_figure.figure(dataset, images), figure))
             check()
             folder = publish(partial, folder)
     _print_results(dataset, config.signals.prominence, report)
@@ -95,14 +97,6 @@ def run_simulation(config: Config, folder: Path, report: ConsoleReporter) -> Pat
         report.note("The tube could not be drawn in 3-D: see 'The figure' in the README.")
     report.line(f"Written to {folder} in {time.perf_counter() - started:.0f} s.")
     return folder
-
-
-def _write_figure(dataset: xr.Dataset, images: Mapping[str, Image] | None, folder: Path) -> None:
-    """Write the figure."""
-    from acoustube.reports.figures import run as run_figure
-
-    figure = folder / "figure.png"
-    write(figure, run_figure.picture(run_figure.figure(dataset, images), figure))
 
 
 def _print_header(config: Config, report: ConsoleReporter) -> None:

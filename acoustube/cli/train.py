@@ -140,7 +140,7 @@ def _print_cycles(table: xr.Dataset, name: str, report: Reporter) -> None:
     used = int(usable(table, targets).sum())
     report.line(
         f"acoustube {__version__}: {table.sizes['cycle']} cycles, echoes in {echoes}; "
-        f"{name} learns {', '.join(TARGETS[t] for t in targets)} from {used} of them"
+        f"the estimator {name} learns {', '.join(TARGETS[t] for t in targets)} from {used} of them"
     )
 
 

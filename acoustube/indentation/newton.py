@@ -181,8 +181,9 @@ def _worth(tangent: _Tangent, state: State, lower: State, tolerance: float) -> b
 def _factorised(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> _Tangent | None:
     """Factorise the tangent, or else a nearby positive definite matrix.
 
-    That matrix is the tangent without the terms that make it indefinite first. If that is not
-    enough, fractions of its diagonal are added ([2]_, section 3.4); None if the largest fails too.
+    That matrix is the tangent without the terms that are the first to make it indefinite, see
+    `convex` of :func:`stiffness`. If this is not positive definite either, fractions of its
+    diagonal are added ([2]_, section 3.4); None if not even the largest of these suffices.
     """
     indefinite = None
     for shift in (None, *DIAGONAL_SHIFTS):

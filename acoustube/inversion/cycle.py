@@ -36,7 +36,7 @@ class Known:
     ----------
     number : int
         Number of the contact, from 0 in the order of appearance.
-    odds : float
+    log_odds : float
         Logarithm of the odds that the contact is real.
     age : int
         Age in cycles.
@@ -46,11 +46,11 @@ class Known:
     """
 
     number: int
-    odds: float
+    log_odds: float
     age: int = 0
     faint: int = 0
 
     @property
     def probability(self) -> float:
         """Probability that the contact is real."""
-        return float(1 / (1 + np.exp(-self.odds)))
+        return float(1 / (1 + np.exp(-self.log_odds)))

@@ -24,7 +24,7 @@ from acoustube.inversion.doubt import doubt_weights
 from acoustube.inversion.hypotheses import Hypothesis
 from acoustube.inversion.likelihood import Weights
 from acoustube.inversion.model import NUISANCES, ForwardModel
-from acoustube.inversion.parameters import CLOSEST, odds_of, split
+from acoustube.inversion.parameters import CLOSEST, cost_of_press, split
 from acoustube.waves.scattering import Complex
 
 STEP = 0.5e-3
@@ -163,7 +163,7 @@ def _surplus(model: ForwardModel, known: _Known, press: tuple[int, float], depth
     cost -= np.linalg.slogdet(known.information)[1]
     cost += 2 * log(length * span) - 2 * log(2 * pi)
     # A press without an echo leaves its position and depth open, which is no evidence for it.
-    cost = np.maximum(cost, 0.0) + odds_of(len(tools))
+    cost = np.maximum(cost, 0.0) + cost_of_press(len(tools))
     explained = np.maximum(explained, 0.0)
     return np.asarray(explained - NORMAL_QUANTILE * 2 * np.sqrt(explained) - cost)
 

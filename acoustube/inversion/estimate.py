@@ -18,7 +18,7 @@ from acoustube.inversion.doubt import doubted
 from acoustube.inversion.hypotheses import HOPELESS, Builder, Hypothesis
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.model_error import Discrepancy, discrepancy
-from acoustube.inversion.parameters import odds_of, split
+from acoustube.inversion.parameters import cost_of_press, split
 from acoustube.inversion.peeling import BEAM, EXPLAINED, peeled
 from acoustube.inversion.posterior import Estimate, Posterior
 from acoustube.inversion.search import Templates
@@ -215,13 +215,13 @@ class Inverter:
                 break
             found = _shifted(builder, found)
             best = found[0]
-            odds = odds_of(number)
-            likelier = best.deviance + odds < chain[-1].deviance
+            cost = cost_of_press(number)
+            likelier = best.deviance + cost < chain[-1].deviance
             if number > 1 and best.error > GOOD and (likelier or chain[-1].residual > EXPLAINED):
                 best = _sought_again(builder, best)
             if number > 1:
                 best = doubted(builder, chain[-1], best)
-                likelier = best.deviance + odds < chain[-1].deviance
+                likelier = best.deviance + cost < chain[-1].deviance
             chain.append(best)
             if not likelier:
                 break
@@ -230,8 +230,8 @@ class Inverter:
 
     def _posterior(self, chain: list[Hypothesis], builder: Builder) -> Inversion:
         """Return the posterior of the presses, from the best hypothesis of each number of them."""
-        odds = np.cumsum([0.0, *map(odds_of, range(1, len(chain)))])
-        deviance = np.array([one.deviance + o for one, o in zip(chain, odds, strict=True)])
+        costs = np.cumsum([0.0, *map(cost_of_press, range(1, len(chain)))])
+        deviance = np.array([one.deviance + o for one, o in zip(chain, costs, strict=True)])
         inflation = max(1.0, min(one.residual for one in chain))
         probability = np.exp(-0.5 * (deviance - deviance.min()) / inflation)
         probability /= probability.sum()
@@ -323,7 +323,7 @@ def _pruned(builder: Builder, chain: list[Hypothesis]) -> list[Hypothesis]:
     """
     given = list(chain)
     for number in range(len(chain) - 1, 1, -1):
-        if chain[number].deviance + odds_of(number) < chain[number - 1].deviance:
+        if chain[number].deviance + cost_of_press(number) < chain[number - 1].deviance:
             fewer = min(builder.pruned(chain[number]), key=lambda one: one.deviance)
             if fewer.deviance < chain[number - 1].deviance:
                 chain[number - 1] = builder.shifted(fewer)

@@ -32,8 +32,8 @@ DISTINCT = 0.3e-3, 0.02e-3
 SAME_MAXIMUM = 4.0
 """Squared Mahalanobis distance of two maxima below which they also count as one."""
 PATIENCE, FAR_WORSE = 3, 1e3
-"""Number of iterations after which starting points may be given up, and the excess of their cost
-over the least at which they are. The excess is halved with each further iteration."""
+"""Rule without a known maximum: after PATIENCE iterations, starting points are given up whose cost
+exceeds the least by FAR_WORSE or more. This excess is halved with each further iteration."""
 GIVEN_UP = 5e3, 2e3, 1e3, 500.0, 300.0
 """Excess of the cost over that of a known maximum at which a starting point is given up, before
 each iteration. Of 2436 starting points that ended in other maxima, with a cost at most 300 above

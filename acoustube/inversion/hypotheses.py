@@ -18,7 +18,7 @@ from acoustube.inversion.fit import Fits, distinct, evidence, maximise
 from acoustube.inversion.likelihood import Weights, deviance_of, echo_of, weights
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.other_depths import other_depths
-from acoustube.inversion.parameters import CLOSEST, joined, odds_of, split
+from acoustube.inversion.parameters import CLOSEST, cost_of_press, joined, split
 from acoustube.inversion.search import Templates, front_of
 from acoustube.waves.scattering import Complex
 
@@ -182,7 +182,7 @@ class Builder:
         found = []
         if least is None:
             # For a third press the odds of a second: the gain excludes a refit of the known two.
-            least = odds_of(min(len(known.tools) + 1, 2))
+            least = cost_of_press(min(len(known.tools) + 1, 2))
         for one in sought:
             fits = self.with_one_more(one, one.whiten, least=least)
             if one is known and np.isfinite(known.deviance):

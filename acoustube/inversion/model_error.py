@@ -98,8 +98,8 @@ def restricted_deviance(
 ) -> Array:
     """Return minus twice the log likelihood with the parameters marginalised, (n,).
 
-    The model is linearised about each set of parameters, within the largest steps of an iteration.
-    The result omits a constant.
+    The model is linearised about each set of parameters, but no farther from it in place and depth
+    than :data:`acoustube.inversion.parameters.LARGEST_STEPS`. The result omits a constant.
 
     Parameters
     ----------

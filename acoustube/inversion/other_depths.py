@@ -24,8 +24,8 @@ def other_depths(model: ForwardModel, known: Fits, tools: tuple[int, ...], sampl
                  whiten: Weights) -> Fits:  # fmt: skip
     """Return maxima of the likelihood that are found from other depths of each press.
 
-    The depths tried are more than :data:`STEP` from that of the best fit. All other parameters
-    start at those of the best fit.
+    The depths tried are more than :data:`STEP` from that of the best fit; if the tool has no such
+    depth, they are the ends of its range. All other parameters start at those of the best fit.
 
     Parameters
     ----------

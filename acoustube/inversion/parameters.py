@@ -16,7 +16,7 @@ LARGEST_STEPS = 1.5e-3, 4e-4
 CLOSEST = 0.03
 """Smallest distance allowed between two presses in m. Their deformed parts overlap up to about
 twice this distance."""
-PRESS_ODDS = 2 * np.log([1e4, 1e9, 1e12])
+PRESS_COSTS = 2 * np.log([1e4, 1e9, 1e12])
 """Minus twice the logarithms of the prior odds of a first press, a second, and each further one:
 1e-4, 1e-9 and 1e-12. The likelihood takes errors of the model as independent between samples. A
 false detection far behind a press whose trapped sound differs from the model's therefore reaches
@@ -62,6 +62,6 @@ def limited(step: Array) -> Array:
     return found
 
 
-def odds_of(number: int) -> float:
+def cost_of_press(number: int) -> float:
     """Return minus twice the logarithm of the prior odds of a press, numbered from 1."""
-    return float(PRESS_ODDS[min(number, len(PRESS_ODDS)) - 1])
+    return float(PRESS_COSTS[min(number, len(PRESS_COSTS)) - 1])

@@ -28,7 +28,8 @@ mode travels, and where several modes do, which beat over 2 cm, as behind a pres
 APART = 0.03
 """Least distance in m between candidates that count as different places."""
 DISTINCT = 1.5e-3, 0.5e-3
-"""Differences of place and depth in m above which two maxima near a place are separate."""
+"""Differences of place and of depth in m: two maxima near a place are separate if one of the two
+differences is larger."""
 KEPT = 40
 """Number of places whose reflection matrices are cached."""
 CHUNK = 40
@@ -187,7 +188,7 @@ class Templates:
         path = self.model.path
         place = place if path.converts else 0.0
         if place not in self._reflections:
-            if len(self._reflections) > KEPT:
+            if len(self._reflections) >= KEPT:
                 self._reflections.clear()
             at = np.full(len(self.depths), place)
             joined = path.joined(self.whole, at, np.zeros(len(at)))

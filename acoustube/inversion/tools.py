@@ -7,7 +7,7 @@ from functools import cached_property
 from math import nan
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from acoustube.base import checks
@@ -271,8 +271,3 @@ class Library:
     def sound_speed(self) -> float:
         """Speed of sound in m/s in which the matrices were computed."""
         return self.tools[0].sound_speed
-
-    @property
-    def depths(self) -> NDArray[np.float64]:
-        """Shallowest and deepest depth of each tool in m, (n_tools, 2)."""
-        return np.array([[tool.depth[0], tool.depth[-1]] for tool in self.tools])

@@ -51,9 +51,9 @@ class Tracked:
     numbers : list of int
         Numbers of the contacts, from 0 in the order of their appearance.
     misfit : float
-        Root of the unexplained fraction of the echo's energy; nan without contacts. Unlike the
-        misfit of :class:`acoustube.inversion.Inversion`, it does not include the model error with
-        the highest evidence.
+        Root of the unexplained fraction of the echo's energy; nan if no contact is tracked, not
+        even one too improbable for `contacts`. Unlike that of
+        :class:`acoustube.inversion.Inversion`, it may be below the most likely model error.
     temperature, gain : Estimate
         Deviations of the air's temperature in K and of the gain's logarithm.
     place : ndarray

@@ -51,7 +51,7 @@ MEAN = 8
 NEAR, NEAR_CONTACTS = 3, 2
 """Number of candidates in the search for a contact near its place, and number of contacts that are
 sought again in a cycle."""
-RARE = float(np.log(100.0))
+NEW_CONTACT = float(np.log(100.0))
 """Logarithm of the prior odds against one more contact."""
 SURE, GONE = 12.0, -2.0
 """Logarithms of a contact's odds: their upper limit, and the value at which it is removed."""
@@ -246,14 +246,14 @@ class Track:
         best, fewer = max(tried, key=lambda one: float(one[0].evidence[0]))
         rank = rank_of(fewer, best.branches)
         best = with_shifts(self.model, self.motion, fewer, best, rank, samples, whiten)
-        odds = float(best.evidence[0]) + plain - RARE
-        odds -= uniform(self.model, best.branches.tools[rank])
-        if odds < 0:
+        log_odds = float(best.evidence[0]) + plain - NEW_CONTACT
+        log_odds -= uniform(self.model, best.branches.tools[rank])
+        if log_odds < 0:
             return found
         best = self._in_place(fewer, best, rank, samples, whiten)
         for one in self.known:  # the new contact changes their echoes
             one.age = min(one.age, NEW[-1] + 1)
-        self.known.insert(rank, Known(self.numbers, min(odds, SURE)))
+        self.known.insert(rank, Known(self.numbers, min(log_odds, SURE)))
         self.numbers += 1
         self.rests.clear()
         self.error = ERROR
@@ -278,7 +278,7 @@ class Track:
             )
             alone = self._updated(start, samples, 5, whiten=whiten)
             alone = with_shifts(self.model, self.motion, others, alone, rank, samples, whiten)
-            if alone.evidence[0] + RARE > best.evidence[0]:
+            if alone.evidence[0] + NEW_CONTACT > best.evidence[0]:
                 del self.known[i]
                 return alone
         return best
@@ -358,12 +358,12 @@ class Track:
         gained = self._gained(found, refit)
         one = self.known[i]
         there = self.motion.survival * one.probability
-        odds = np.log(there / (1 - there)) + gained - 1.0
-        one.odds = float(min(odds, SURE))
+        log_odds = np.log(there / (1 - there)) + gained - 1.0
+        one.log_odds = float(min(log_odds, SURE))
         least = self.model.tables[found.branches.tools[i]].range[0]
         faint = found.branches.mean[0, 2 * i + 1] < least + FAINT
         one.faint = one.faint + 1 if faint else 0
-        if one.odds > GONE and one.faint < FAINT_TESTS:
+        if one.log_odds > GONE and one.faint < FAINT_TESTS:
             return found
         del self.known[i]
         self.rests.clear()
@@ -384,7 +384,7 @@ class Track:
         i = pairs[cycle.number // MERGED % len(pairs)]
         best = found.branches.take(np.arange(1))
         alone = one_for_two(self.proposals, self.motion, best, i, cycle.samples, self.whiten)
-        if alone is None or self._gained(found, alone) > RARE:
+        if alone is None or self._gained(found, alone) > NEW_CONTACT:
             return found
         kept = max(self.known[i : i + 2], key=lambda one: one.age)
         kept.age = min(kept.age, NEW[-1] + 1)

@@ -244,7 +244,11 @@ class WrappedPath:
         return found
 
     def joined(self, matrices: Matrices, place: Array, temperature: Array) -> Joined:
-        """Return presses at places (n,) in m, at temperature deviations (n,) in K, with joints."""
+        """Return the scattering of presses, with their joints, between the modes of the bent tube.
+
+        `matrices` are those of the presses in a straight tube, at places (n,) in m; `temperature`
+        holds deviations in K, (n,).
+        """
         reach, warm = self.wrap.reach, temperature[:, None, None]
         ports = self._inside(place - reach), self._inside(place + reach)
         joints, moved = (np.stack([self.joints(at, order) for at in ports]) for order in (0, 1))

@@ -188,8 +188,10 @@ def record(
     Returns
     -------
     xarray.Dataset
-        ``signal`` (cycle, time) in counts and ``temperature`` (cycle) in degC, both with units;
-        all parameters among the attributes, those of the rangefinder as JSON.
+        ``signal`` (cycle, time) in counts and ``temperature`` (cycle) in degC, both with units, on
+        coordinates ``time`` in s and ``cycle``. Attributes are the rangefinder as JSON, the tube,
+        the temperature, the positions of the presses, `seed` and `tube_seed`, but neither
+        `session_seed` nor `reflectors`.
 
     Raises
     ------

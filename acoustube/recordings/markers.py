@@ -108,9 +108,7 @@ def _column_names(rows: Rows, wanted: Sequence[str] | None, path: Path) -> tuple
     if len(names) != 2 or not set(names) <= set(rows):
         missing = [name for name in names if name not in rows]
         wrong = f"has no column {missing[0]}; it has" if missing else "has columns of markers named"
-        raise ConfigError(
-            f"{path} {wrong} {found}, and two are needed; name the two with --columns"
-        )
+        raise ConfigError(f"{path} {wrong} {found}, and two are needed; name the two (columns)")
     return names[0], names[1]
 
 
@@ -191,7 +189,7 @@ def _from_c3d(path: Path) -> tuple[Rows, str | None]:
         ) from None
     unit = found["unit"].strip().lower() or None
     if unit is not None and unit not in UNITS:
-        raise ConfigError(f"{path} is in {unit}; give --unit mm, cm or m")
+        raise ConfigError(f"{path} is in {unit}; give mm, cm or m (unit)")
     rows: Rows = {}
     for label, places in zip(found["labels"], np.moveaxis(found["points"], 0, -1), strict=True):
         # Vicon puts the subject before the label, as in arm:A1.

@@ -84,7 +84,7 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
     """
     wanted, path = np.asarray(force, float), indentation.contact_force
     spacing = LARGEST_SPACING * indentation.tube.inner_diameter
-    widest = float(np.diff(indentation.depth).max())
+    widest = float(np.diff(indentation.depth).max(initial=0.0))
     if widest > spacing:
         raise ConfigError(
             f"The press has depths {MM * widest:.3g} mm apart, too far to interpolate between; "

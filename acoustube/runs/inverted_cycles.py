@@ -16,7 +16,7 @@ from acoustube.inversion import Contact, Estimate, Inversion
 from acoustube.runs.inversion import RecordingInverter
 
 LEVELS = 0.68, 0.9
-"""Probabilities of the central intervals, equal to those of the trained estimators."""
+"""Probabilities of the central intervals: to two digits those of the trained estimators."""
 
 
 def inverted(
@@ -79,9 +79,9 @@ def inverted(
 def alike(data: xr.Dataset, labels: Sequence[str], size: int) -> Iterator[tuple[xr.Dataset, float]]:
     """Yield groups of consecutive cycles with equal labels, and the finished fraction of cycles.
 
-    A group has at most `size` cycles. A label that is nan counts as zero.
+    A group has at most `size` cycles. A label that is nan counts as -1, which no other label is.
     """
-    values = np.stack([np.nan_to_num(data[name].values.astype(float)) for name in labels])
+    values = np.stack([np.nan_to_num(data[name].values.astype(float), nan=-1.0) for name in labels])
     n = data.sizes["cycle"]
     edges = [0, *(1 + np.flatnonzero(np.any(np.diff(values, axis=1) != 0, axis=0))), n]
     for first, last in pairwise(edges):

@@ -140,7 +140,7 @@ class Tally:
             f"{self.n_cycles} cycles at {self.rate:.1f}/s, echoes in {self.n_detections}, "
             f"{self.n_garbled} garbled, {self.n_dropped} dropped, latency "
             f"{MS * self.latency:.1f} ms"
-            + (", joined in the middle" if self.n_joined else "")
+            + (", reception began within a frame" if self.n_joined else "")
             + (f", {self.n_skipped} not inverted for lack of time" if self.n_skipped else "")
         )
 

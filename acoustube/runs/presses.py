@@ -135,7 +135,7 @@ def press_in_words(settings: SIPress) -> str:
     words += [f"{MM * indenter.x:g} mm beside the axis"] * (indenter.x != 0)
     words += [f"turned by {np.degrees(indenter.yaw):g} deg"] * (indenter.yaw != 0)
     if layer is not None:
-        words.append(f"on {MM * layer.thickness:g} mm of {MPA * layer.modulus:g} MPa")
+        words.append(f"on a {MM * layer.thickness:g} mm layer of {MPA * layer.modulus:g} MPa")
     return ", ".join([*words, f"support {settings.support}"])
 
 

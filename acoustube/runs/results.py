@@ -302,7 +302,9 @@ def _recorded(recordings: Mapping[SourceEnd, Recording], pulse: Pulse) -> dict[s
     """Return the pressure at the probe, and the grid on which it was computed."""
     first = next(iter(recordings.values()))
     return {
-        "time": variable("time", first.time, "s", "time since the pulse starts to leave"),
+        "time": variable(
+            "time", first.time, "s", "time since the pulse starts to leave the source end"
+        ),
         "pressure": variable(
             "source_end time",
             np.stack([recording.pressure[0] for recording in recordings.values()]),
@@ -313,7 +315,9 @@ def _recorded(recordings: Mapping[SourceEnd, Recording], pulse: Pulse) -> dict[s
         "pulse_duration": variable("", pulse.duration, "s", "duration of the pulse"),
         "time_step": variable("", first.time_step, "s", "time step"),
         "grid_spacing": variable("xyz", first.spacing, "m", "size of a grid cell"),
-        "grid_shape": variable("xyz", first.shape, "1", "grid cells of the half x > 0"),
+        "grid_shape": variable(
+            "xyz", first.shape, "1", "grid cells, of the half x > 0 if symmetric"
+        ),
     }
 
 

@@ -123,7 +123,7 @@ def read(path: str | Path) -> StoredScattering:
     if not Path(path).is_file():
         raise ConfigError(f"{path} does not exist; write one with acoustube scatter")
     advice = "write one with acoustube scatter"
-    failure = "is not a file of this version's acoustube scatter"
+    failure = "is not a file that acoustube scatter of this version wrote"
     with reading(path, failure, advice):
         return from_dataset(open_result(path, advice, failure))
 

@@ -120,7 +120,11 @@ def all_trials() -> tuple[Trial, ...]:
         Trial("cut-on of mode (1,1), Bessel's zero", _cut_on, cut_on, 0.005 * cut_on, "kHz"),
         Trial("reflection of a narrowed bore", lambda: abs(_scattered()[0]), REFLECTED, 0.02, "1"),
         Trial(
-            "power reflected and passed", lambda: np.sum(np.abs(_scattered()) ** 2), 1.0, 1e-3, "1"
+            "reflected plus transmitted power",
+            lambda: np.sum(np.abs(_scattered()) ** 2),
+            1.0,
+            1e-3,
+            "1",
         ),
         Trial("force of a press of 0.2 mm", _force, FORCE, 1e-3 * FORCE, "N"),
     )

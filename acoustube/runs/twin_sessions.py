@@ -136,7 +136,9 @@ def recipe_settings(paths: Sequence[Path]) -> tuple[dict[str, Any], list[Across]
         return settings | ({} if modulus is None else {"young_modulus": modulus[0]}), []
     for path, document in zip(paths, documents, strict=True):
         if KIND not in document:
-            raise ConfigError(f"{path} is not the file of a twin; several sensors are twins' files")
+            raise ConfigError(
+                f"{path} is not the file of a twin; of several files each must be one"
+            )
         if ("humidity_percent" in document) != ("humidity_percent" in documents[0]):
             raise ConfigError(
                 f"{path} and {paths[0]} were not both fitted with --humidity; fit all alike"

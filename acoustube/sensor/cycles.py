@@ -166,30 +166,16 @@ def counts_of(
     return jnp.clip(jnp.rint(counts), 0, 2**r.bits - 1) if r.quantised else counts
 
 
-def compiled_changes(
-    shape: Shape, parts: Parts, place: ArrayLike, depth: ArrayLike, diameter: ArrayLike
-) -> jax.Array:
-    """Return :func:`changes_of`, compiled."""
-    return _compiled()[0](shape, parts, place, depth, diameter)
-
-
-def compiled_counts(
-    rangefinder: Rangefinder, untouched: ArrayLike, changes: jax.Array, key: jax.Array | None
-) -> jax.Array:
-    """Return :func:`counts_of`, compiled."""
-    return _compiled()[1](rangefinder, untouched, changes, key)
-
-
 @cache
-def _compiled() -> tuple[Callable[..., jax.Array], Callable[..., jax.Array]]:
-    """Return the compiled functions, with the options that this version of XLA supports."""
+def compiled() -> tuple[Callable[..., jax.Array], Callable[..., jax.Array]]:
+    """Return :func:`changes_of` and :func:`counts_of` compiled, with the options XLA supports."""
     known = {}
     for name, value in OPTIONS.items():
         with suppress(jax.errors.JaxRuntimeError):
             jax.jit(jnp.negative, compiler_options={name: value})(np.float32(0))
             known[name] = value
-    compiled = partial(jax.jit, static_argnums=0, compiler_options=known)
-    return compiled(changes_of), compiled(counts_of)
+    jit = partial(jax.jit, static_argnums=0, compiler_options=known)
+    return jit(changes_of), jit(counts_of)
 
 
 @partial(

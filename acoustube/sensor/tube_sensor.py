@@ -43,8 +43,7 @@ from acoustube.sensor.contacts import (
 )
 from acoustube.sensor.cycles import (
     CycleModel,
-    compiled_changes,
-    compiled_counts,
+    compiled,
     echo_voltage,
 )
 from acoustube.sensor.wrapped import check_wrap
@@ -233,7 +232,7 @@ class TubeSensor:
         """
         given = contact_arrays(self.tables, contacts, self.most_contacts)
         check_contacts(self.tables, *given, self.span, self.apart)
-        changes = compiled_changes(self._shape, self._parts, *(a.astype(np.float32) for a in given))
+        changes = compiled()[0](self._shape, self._parts, *(a.astype(np.float32) for a in given))
         voltage = self._untouched + np.asarray(changes[0], float)
         r = self.rangefinder
         if seed is None:
@@ -283,8 +282,9 @@ class TubeSensor:
         def compute(part: slice, key: jax.Array | None) -> None:
             missing = ((0, BATCH - (part.stop - part.start)), (0, 0))
             block = [np.pad(a[part], missing) for a in given]
-            changes = compiled_changes(self._shape, self._parts, *block)
-            counts = compiled_counts(self.rangefinder, self.model.untouched, changes, key)
+            changes_of, counts_of = compiled()
+            changes = changes_of(self._shape, self._parts, *block)
+            counts = counts_of(self.rangefinder, self.model.untouched, changes, key)
             found[part] = counts[: part.stop - part.start]
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:

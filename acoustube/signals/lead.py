@@ -58,7 +58,7 @@ def find_lead(time: ArrayLike, samples: ArrayLike, settings: Processing | None =
     if np.mean(agree) < LEAST_AGREEMENT:
         raise ValueError(
             f"the strongest pulse starts at the same time in only {100 * np.mean(agree):.0f} % of "
-            "the cycles, so the send pulse cannot be found; give --pulse-at MS"
+            "the cycles, so the send pulse cannot be found; state its time (--pulse-at MS)"
         )
     before = float(np.median(rise)) + duration + 1 / settings.cutoff
     peak, height = send_pulse(time, heights[agree], before=before)

@@ -218,7 +218,10 @@ def transfer(
 
 
 class _LoadReflection(NamedTuple):
-    """Input reflection matrices at both ends of a straight section, (n, m, m)."""
+    """Reflection matrices of all that lies ahead of a section's start and of its end.
+
+    Each is (n, m, m), for n frequencies and m modes; "ahead" is towards the far end of the tube.
+    """
 
     at_start: Complex
     at_end: Complex

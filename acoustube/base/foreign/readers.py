@@ -115,7 +115,10 @@ def _plain(value: Any) -> Any:
 
 
 def hdf5(path: str, most: int) -> Iterator[Entry]:
-    """Read HDF5: every dataset of numbers or text, with its unit, and every attribute."""
+    """Read HDF5: datasets with their units, and attributes, as far as they are numbers or text.
+
+    MATLAB's text, empty arrays and references, and netCDF dimensions without values, are left out.
+    """
     import h5py
 
     with h5py.File(path) as file:

@@ -190,7 +190,8 @@ def predict(known: Information, electronics: Electronics) -> Prediction:
 def score(found: Prediction, asked: Sequence[float]) -> Array:
     """Return the logarithm of the rms relative error of force, plus penalties for missed goals.
 
-    The result is (...); lower values are better. A small term favours precise positions.
+    The result has the shape (...) of `found.reach`; lower values are better. A small term favours
+    precise positions.
 
     Parameters
     ----------

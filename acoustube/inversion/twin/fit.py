@@ -230,7 +230,7 @@ def start_points(model: EchoModel, data: Data, prior: Prior) -> list[Point]:
     model : EchoModel
     data : Data
     prior : Prior
-        Its mean is the starting value of the other parameters.
+        Its mean is the starting value of the other parameters but the gain, which is fitted.
 
     Notes
     -----

@@ -8,7 +8,7 @@ from acoustube.reports.design.drawing import drawing
 from acoustube.reports.design.figures import front_figure, map_figure
 from acoustube.reports.design.page import page_of
 from acoustube.reports.figures.run import picture
-from acoustube.runs.config.goal import in_toml
+from acoustube.runs.config import to_toml
 from acoustube.runs.design.files import config_toml, front_csv, sensor_toml
 from acoustube.runs.design.run import Designed
 
@@ -35,7 +35,7 @@ def contents_of(found: Designed) -> dict[str, bytes | str]:
         **{f"{one.name} drawing": picture(drawing(found.design, one.candidate), png)
            for one in found.sensors},
     }  # fmt: skip
-    goal = in_toml(found.design)
+    goal = to_toml(found.design)
     contents: dict[str, bytes | str] = {
         "goal.toml": goal + f"# found with --seed {found.seed}\n",
         "front.csv": front_csv(found.front),

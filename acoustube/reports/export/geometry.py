@@ -183,7 +183,7 @@ def _straightened(indentation: Indentation, row: int) -> trimesh.Trimesh:
 
 
 def closed_wall(mesh: Mesh, position: Array) -> trimesh.Trimesh:
-    """Return the inner wall of the whole tube, closed by a fan at each end.
+    """Return the inner wall of the whole tube, closed at each end by a fan of triangles.
 
     Parameters
     ----------

@@ -94,10 +94,10 @@ def calibration_figure(calibration: Calibration) -> Figure:
 
 
 def draw_fall(axes: Axes, calibration: Calibration) -> None:
-    """Draw the echo amplitudes of blockages over distance, the arctan fit and the gain's tanh."""
+    """Draw the echo amplitudes of closures over distance, the arctan fit and the gain's tanh."""
     places = calibration.true_distance
     along = np.linspace(0, 1.1 * places.max(), 300)
-    axes.plot(CM * places, calibration.amplitude, ".", color=SIGNAL, label="blockages")
+    axes.plot(CM * places, calibration.amplitude, ".", color=SIGNAL, label="closures")
     axes.plot(
         CM * along, calibration.fitted_amplitude(along), color=ENVELOPE,
         label=f"arctan, RMSE {calibration.amplitude_rmse:.3g}",
@@ -115,7 +115,7 @@ def draw_fall(axes: Axes, calibration: Calibration) -> None:
 
 
 def draw_line(axes: Axes, calibration: Calibration) -> None:
-    """Draw estimated over true distance of blockages, and the line fitted to them."""
+    """Draw estimated over true distance of closures, and the line fitted to them."""
     places = calibration.true_distance
     slope, deviation = calibration.slope
     axes.plot(CM * places, CM * calibration.estimated_distance, ".", color=SIGNAL)

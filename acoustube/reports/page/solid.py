@@ -114,10 +114,6 @@ class Solid:
         position = sampling @ (self.nodes + displacement)
         return profile(position, triangles, at, halved=self.halved[0]).area
 
-    def outer(self, displacement: Array) -> Array:
-        """Return points (n, 3) of the outer wall in m, of the part that is modelled."""
-        return np.asarray(self.walls["outer"][0] @ (self.nodes + displacement))
-
     def _drawn(self, wall: str, triangles: Index) -> Index:
         per_face = len(triangles) // len(self.shown[wall])
         return triangles[np.repeat(self.shown[wall], per_face)]

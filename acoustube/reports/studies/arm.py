@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from acoustube import estimation
 from acoustube.air import air_at
-from acoustube.base.report import Reporter
 from acoustube.base.types import Array
 from acoustube.base.units import MM
 from acoustube.estimation import FeatureSettings
@@ -218,8 +217,3 @@ def sleeve_inverter(library: Library, tube: int, like: ModalScattering) -> Recor
         library, bent_around(helix, None, like), session_seed=tube, tube_seed=TUBE_SEEDS[tube],
         wrap=wrap_of(helix),
     )  # fmt: skip
-
-
-def announce(report: Reporter, words: str) -> None:
-    """Report the step that begins, as a line."""
-    report.line(f"{words} ...")

@@ -7,16 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from acoustube import signals
 from acoustube.base.errors import SimulationError
 from acoustube.base.report import Reporter
-from acoustube.base.units import CM, MM
+from acoustube.base.units import MM
 from acoustube.ranging import Rangefinder, blockage, record
-from acoustube.reports.figures.run import ENVELOPE, RETURN, SEND
+from acoustube.reports.figures.cycles import calibration_figure
 from acoustube.reports.studies.report import Row, Scale, Study
 from acoustube.signals import Calibration
 from acoustube.waves import PlacedScatterer
@@ -76,7 +73,7 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:  # noqa: ARG001
         figures={
             "Left: amplitude of the echoes of closures over their distance, without gain, with the "
             "arctan fit and the tanh from which the gain is derived. Right: estimated over true "
-            "distance.": _figure(found)
+            "distance.": calibration_figure(found)
         },
     )
 
@@ -144,27 +141,3 @@ def _calibrate(closed: list[xr.Dataset], free: xr.Dataset, factor: float) -> Cal
         untouched_temperature=free["temperature"].values,
         sigmas=factor,
     )
-
-
-def _figure(found: Calibration) -> Figure:
-    sheet = Figure(figsize=(11, 4.5), layout="constrained")
-    left, right = sheet.subplots(1, 2)
-    fine = np.linspace(0.15, 2.15, 400)
-    _draw_fall(left, found, fine)
-    right.plot(CM * found.true_distance, CM * found.estimated_distance, ".", color=ENVELOPE)
-    right.plot([20, 200], [20, 200], color=RETURN, lw=0.8)
-    right.set(xlabel="true distance (cm)", ylabel="estimated distance (cm)")
-    return sheet
-
-
-def _draw_fall(axes: Axes, found: Calibration, fine: NDArray[np.float64]) -> None:
-    gain = found.processing.gain
-    assert gain is not None
-    axes.plot(CM * found.true_distance, found.amplitude, ".", color=ENVELOPE, label="closures")
-    axes.plot(CM * fine, found.fitted_amplitude(fine), color=RETURN, label="arctan fit")
-    axes.plot(CM * fine, gain.c1 * np.tanh(gain.c2 * (fine - gain.c3)) + gain.c4, "--", color=SEND,
-              label="tanh, from which the gain is derived")  # fmt: skip
-    axes.set_xlabel("true distance (cm)")
-    axes.set_ylabel("highest peak (fraction of the send pulse)")
-    axes.set_ylim(bottom=0)
-    axes.legend(fontsize="small")

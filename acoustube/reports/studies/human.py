@@ -14,7 +14,6 @@ from acoustube.base.units import CM, MM, PERCENT
 from acoustube.reports.studies import human_figures, inverted, ranged
 from acoustube.reports.studies.arm import (
     PLACES,
-    announce,
     bent_around,
     by_depth,
     cycles_of,
@@ -61,7 +60,7 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:
     if not scale.quick:
         inversion = _inverted(table, cycles, like, scale, work / "library", report)
     tables = Tables(table, coarser, inversion)
-    announce(report, "a swipe, and two presses at once")
+    report.line("a swipe, and two presses at once ...")
     tracks = swiped(presses, quick=scale.quick)
     pairs = resolved_pairs(presses, quick=scale.quick)
     paths = substrates(quick=scale.quick)
@@ -167,7 +166,7 @@ def recorded(
     with the forces of the sweep's own mesh, which differ from the prescribed forces by the coarse
     mesh's error.
     """
-    announce(report, "the depths that forces take on soft ground")
+    report.line("the depths that forces take on soft ground ...")
     levels = LEVELS[2:] if scale.quick else LEVELS
     wanted = np.concatenate([forces_of(each) for each in levels])
     found = by_force(press_runs.pressed(ground(**ARM), GRID), wanted)
@@ -182,7 +181,7 @@ def recorded(
     rows, kept = [], []
     for tube, helix in enumerate(sleeve()):
         places = (PLACES[::3] if scale.quick else PLACES) + tube * SHIFT
-        announce(report, f"cycles at {len(places)} places of tube {tube + 1}")
+        report.line(f"cycles at {len(places)} places of tube {tube + 1} ...")
         for place in places:
             bends = bent_around(helix, float(place), states[0][1])
             for i, each in enumerate(levels):

@@ -18,7 +18,6 @@ from acoustube.estimation import Model
 from acoustube.reports.studies import flat, flat_figures, inverted, ranged
 from acoustube.reports.studies.arm import (
     PLACES,
-    announce,
     bent_around,
     by_depth,
     cycles_of,
@@ -140,7 +139,7 @@ def recorded(
     swept(work, over, level, scale, report)
     presses = by_depth(work)
     places = PLACES[::3] if scale.quick else PLACES
-    announce(report, f"cycles at {len(places)} places on the sleeve, tube {', '.join(shapes)}")
+    report.line(f"cycles at {len(places)} places on the sleeve, tube {', '.join(shapes)} ...")
     found: dict[str, list[xr.Dataset]] = {shape: [] for shape in shapes}
     like = next(iter(presses.values()))[1]
     kept = []
@@ -192,8 +191,8 @@ def distance_rows(tables: Tables, helix: Helix) -> list[Row]:
         compared_row(
             lambda cycles: CM * float(np.nanmedian(skin(cycles))), tables,
             quantity="place on the skin: median absolute error", unit="cm",
-            why=f"Over the skin two loops are {CM * helix.pitch:.2g} cm apart: an error of a loop "
-            "is small there.",
+            why=f"Over the skin, neighbouring loops are {CM * helix.pitch:.2g} cm apart: an error "
+            "of a whole loop along the tube is only this large there.",
         ),
         compared_row(
             lambda cycles: CM * float(np.sqrt(np.nanmean(skin(cycles) ** 2))), tables,

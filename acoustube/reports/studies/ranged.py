@@ -1,4 +1,4 @@
-"""Distances estimated from cycles, and their errors."""
+"""Errors of distances and forces estimated from cycles, and their rows in the tables."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from acoustube.base.rules import Number, nearest
 if TYPE_CHECKING:  # the command line imports this module before it writes anything
     from tomlkit.items import Table
 
-from acoustube.runs.config.config import SECTIONS, Config, Mechanics, Settings
+from acoustube.runs.config.config import SECTIONS, Config, Settings
 
 _SECTION_OF = {
     field.name: name for name, section in SECTIONS.items() for field in dataclasses.fields(section)
@@ -186,13 +186,13 @@ def describe(name: str, default: Any = None) -> str:
     return f"{meaning}: {rule.allowed}; default {short(default)}."
 
 
-def to_toml(config: Config | Mechanics) -> str:
-    """Return settings as a TOML document that :func:`load_config` reads back unchanged.
+def to_toml(config: Any) -> str:
+    """Return settings as a TOML document from which they are read back unchanged.
 
     Parameters
     ----------
-    config : Config or Mechanics
-        The settings.
+    config : Config, Mechanics or DesignGoal
+        The settings, a dataclass of sections.
 
     Returns
     -------

@@ -314,19 +314,3 @@ def read_goal(path: Path) -> DesignGoal:
         return DesignGoal(**found)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
-
-
-def in_toml(design: DesignGoal) -> str:
-    """Return a goal as TOML text with every setting, which :func:`read_goal` reads back."""
-    import tomlkit
-
-    document = tomlkit.document()
-    for name in SECTIONS:
-        table, section = tomlkit.table(), getattr(design, name)
-        for one in dataclasses.fields(section):
-            value, rule = getattr(section, one.name), one.metadata["rule"]
-            plain = list(value) if isinstance(value, tuple) else value
-            item = tomlkit.item(plain).comment(f"{rule.meaning}; {rule.allowed}")
-            table.add(one.name, item)
-        document.add(name, table)
-    return tomlkit.dumps(document)

@@ -58,7 +58,10 @@ class Numbers:
         found = tuple(self.each.check(name, one) for one in given)
         if self.span and list(found) != sorted(found):
             raise ConfigError(
-                "falls", setting=name, value=list(found), advice="give the lowest value first"
+                "is not in rising order",
+                setting=name,
+                value=list(found),
+                advice="give the lowest value first",
             )
         return (found[0], found[-1]) if self.span else found
 

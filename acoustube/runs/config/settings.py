@@ -163,7 +163,8 @@ class SignalSettings(Section):
             0.5,
             50,
             "kHz",
-            "cut-off of the envelope's low-pass filter (half of frequency_khz, at most 10)",
+            "cut-off of the envelope's low-pass filter, by default half of frequency_khz but at "
+            "most 10",
         ),
     )
     prominence: float = setting(

@@ -58,7 +58,10 @@ def contacts_of(design: DesignGoal, n: int = CONTACTS) -> Contacts:
 
 
 def modulus_of(design: DesignGoal, shore: float) -> float:
-    """Return the modulus at a hardness over that of the computed presses; 1 on an arm."""
+    """Return the ratio of the modulus at a Shore A hardness to that of the computed presses.
+
+    It is 1 on an arm, where each tube is pressed at its own hardness.
+    """
     if design.goal.support != "table":
         return 1.0
     return float(shear_modulus_from_shore(shore) / shear_modulus_from_shore(REFERENCE_SHORE_A))
@@ -193,7 +196,10 @@ class Search:
             self.tubes[spec] = tubes
             found = candidates_of(self.design, spec, tubes)
             if not found:
-                self.failed[spec] = "no carrier is below half of a sampling rate"
+                self.failed[spec] = (
+                    "each chirp reaches over half of the sampling rate, or is too short for its "
+                    "bandwidth (rate_khz, cycles, bandwidth_khz)"
+                )
                 continue
             self.best[spec] = min(found, key=lambda one: one.score)
             self.kept = front_of([*self.kept, *found])
@@ -205,8 +211,8 @@ def candidates_of(
     """Return the Pareto front of the candidates with one tube, the best of them refined.
 
     Electronics and, on a table, hardness are tried on a grid; carrier and cycles of the candidate
-    with the best score are then improved by a quasi-Newton method. The front is empty if no carrier
-    suits a sampling rate.
+    with the best score are then improved by a quasi-Newton method. The front is empty if no drive
+    suits a sampling rate, or each chirp is too short for its bandwidth.
     """
     shores = [spec.shore]
     if design.goal.support == "table":

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 PATTERN = "tool-*.nc"
 ADVICE = "make one with acoustube library"
-FAILURE = "is not a file of this version's acoustube library"
+FAILURE = "is not a file that acoustube library of this version wrote"
 
 
 def prepared(out: str | Path) -> Path:

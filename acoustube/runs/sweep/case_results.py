@@ -112,7 +112,7 @@ def _gathered(cases: Mapping[str, Config], pressed: Pressed, rows: Mapping[str, 
         ),
         "time": variable(
             "time", np.arange(longest) * sound.TIME_STEP, "s",
-            "time since the pulse starts to leave",
+            "time since the pulse starts to leave the source end",
         ),
     }  # fmt: skip
     origin = {

@@ -144,9 +144,9 @@ def run_dataset(
     report.line(
         f"{counted(n_cases, 'case')}, {counted(recipe.per_case, 'cycle')} of each, {n_cycles} in "
         "all; "
-        f"{len(there)} of {len(parts)} files are there; about "
-        f"{time_in_words(remaining)} on "
-        f"{counted(n_workers, 'worker')}, {n_cycles * BYTES_PER_CYCLE / 1e6:.0f} MB"
+        f"{len(there)} of {len(parts)} files of the dataset are written; about "
+        f"{time_in_words(remaining)} left on "
+        f"{counted(n_workers, 'worker')}, {n_cycles * BYTES_PER_CYCLE / 1e6:.0f} MB in all"
     )
     if todo:
         _record(todo, folder, recipe, workers, report, executor)

@@ -61,7 +61,7 @@ def dask_executor(address: str) -> tuple[Executor, int]:
 
 
 def _connected(client: Callable[..., Any], address: str) -> Any:
-    """Return a client of a scheduler; raise TimeoutError if there is none.
+    """Return a client of a scheduler; raise its error, or TimeoutError if it does not answer.
 
     If a server of another kind answers, a client waits for ever, and so it is made on a thread.
     """

@@ -146,7 +146,7 @@ class Marcher(Protocol):
 
 
 def _marcher(setup: Setup, state: State, compiled: bool | None) -> Marcher:
-    """Return the marcher of a state: compiled on a CPU, in JAX elsewhere."""
+    """Return the marcher of a state: by default compiled on a CPU, in JAX elsewhere."""
     if compiled is None:
         compiled = jax.default_backend() == "cpu"
     if not compiled:

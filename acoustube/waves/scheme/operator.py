@@ -131,7 +131,7 @@ def _closed_outside(faces: jax.Array, axis: int) -> jax.Array:
 
 
 def on_device(values: ArrayLike, dtype: DTypeLike) -> jax.Array:
-    """Return values as a JAX array, converted by NumPy, because JAX would compile a conversion."""
+    """Return values as a JAX array; others than JAX's are converted by NumPy, uncompiled."""
     known = isinstance(values, jax.Array)
     return jnp.asarray(values, dtype) if known else jnp.asarray(np.asarray(values, dtype))
 

@@ -146,7 +146,7 @@ def _lanczos(
     volume: jax.Array,
     operator: Operator,
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Return the next two Lanczos vectors, and the diagonal and off-diagonal entries."""
+    """Return the current and the next Lanczos vector, and the diagonal and off-diagonal entry."""
     image = -laplacian(with_halo(current), operator) - coupling * previous
     level = jnp.sum(volume * image * current)
     image = image - level * current

@@ -132,13 +132,16 @@ def _probes(shifts: Array) -> Array:
 def truncation_ratio(
     system: Discretisation, responses: dict[float, list[Response]], k: Array
 ) -> Array:
-    """Return the ratio of the truncation error of S to its change by the corrections, (n,).
+    """Return the ratio of the truncation error of S to the change of S by its corrections, (n,).
+
+    The corrections are `by_degree` and `by_element` of :class:`Response`. The ratio is interpolated
+    over k^2 between the responses.
 
     Parameters
     ----------
     system : Discretisation
     responses : dict
-        Responses by squared wavenumber in 1/m2, in rising order.
+        By squared wavenumber in 1/m2, in rising order: one response for each parity along z.
     k : ndarray
         Wavenumbers in 1/m, (n,).
     """

@@ -145,8 +145,8 @@ def motion_of(wall: Wall, velocity: Velocity) -> Motion:
 def _require(kept: np.bool_ | bool, what: str) -> None:
     if not kept:
         raise ConfigError(
-            f"the motion of the wall does not keep what the wall has: it {what}; give a wall "
-            "without that (symmetric=False, reversible=False), or a motion that keeps it"
+            f"the motion breaks a symmetry of the wall, which {what}; declare the wall without it "
+            "(symmetric=False, reversible=False), or give a motion that keeps it"
         )
 
 
