@@ -96,6 +96,10 @@ class Air:
 
     def absorption(self, frequency: Frequency) -> Frequency:
         """Return the attenuation of a free plane wave in Np/m at frequencies in Hz."""
+        if not isinstance(frequency, float):
+            import numpy as np  # the command line imports this module before it needs arrays
+
+            frequency = np.asarray(frequency, float)
         relaxing = sum(
             r.strength * frequency**2 / (r.frequency + frequency**2 / r.frequency)
             for r in self.relaxations
@@ -176,8 +180,8 @@ def air_at(
     Raises
     ------
     ConfigError
-        If the temperature is outside -20 to 60 degC, the humidity outside 0 to 100 %, or the
-        pressure outside 10 to 200 kPa.
+        If the temperature is outside -20 to 60 degC, the humidity outside 0 to 100 %, the pressure
+        outside 10 to 200 kPa, or the water vapour's own pressure not below it.
 
     Notes
     -----
@@ -214,6 +218,11 @@ def air_at(
     conductivity = 2.64638e-3 * kelvin**1.5 / (kelvin + 245.4 * 10 ** (-12 / kelvin))
     dry = HEAT_CAPACITY_RATIO
     heat_capacity = dry / (dry - 1) * SPECIFIC_GAS_CONSTANT
+    if _water_fraction(kelvin, humidity, pressure) >= 1:
+        raise ConfigError(
+            f"at {temperature:g} degC and {pressure:g} Pa is more water vapour than air",
+            setting="humidity", value=humidity, unit="%", advice="use less, or a higher pressure",
+        )  # fmt: skip
     water = _water_fraction(kelvin, humidity, pressure) if moist else 0.0
     mass = 1 - water * (1 - WATER_MASS)
     heat = (1 - water) * dry / (dry - 1) + water * WATER_HEAT

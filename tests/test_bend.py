@@ -18,6 +18,7 @@ from acoustube.waves import (
     joined_bends,
     transfer,
 )
+from acoustube.waves.interpolation import interpolate_scattering
 from acoustube.waves.modes import bessel_zero
 from acoustube.waves.modes.grid_modes import wavenumbers
 
@@ -131,6 +132,26 @@ def test_long_waves_travel_faster_by_the_square_root_of_the_lighter_air():
     assert gained == pytest.approx(0.5 * (1 - 1 / lighter), rel=0.02)
 
 
+@pytest.mark.parametrize("torsion", [0.0, 12.0])
+def test_plane_wave_in_a_gentle_bend_is_nearly_that_of_the_straight_bore(torsion):
+    """Within 1 %, also at frequencies at which evanescent modes have wavenumbers of 20 to 100/m."""
+    f = np.array([200.0, 1e3, 3e3])
+    found = bend(
+        AIR, f, radius=RADIUS, bend_radius=0.05, angle=1.0, torsion=torsion, modes=["00"]
+    ).inside
+    straight = axial_wavenumber(0, 0, f, RADIUS, AIR)
+    assert found.wavenumber[0] == pytest.approx(straight, rel=0.01)
+
+
+def test_scattering_of_a_bend_is_interpolated_from_low_frequencies_on():
+    """In the middle between frequencies 100 Hz apart within 1e-3; measured 4e-4."""
+    f = np.arange(500.0, 6e3, 100.0)
+    words = {"radius": RADIUS, "bend_radius": 0.05, "angle": 1.5, "highest": 6}
+    middle = f[:-1] + 50
+    found = interpolate_scattering(bend(AIR, f, **words), middle)
+    assert np.abs(found - bend(AIR, middle, **words).s).max() < 1e-3
+
+
 def test_two_halves_of_a_bend_make_the_whole_in_a_cascade():
     """A bend equals its halves in a cascade, at 20 kHz, where only the plane mode propagates.
 
@@ -225,7 +246,9 @@ def test_modes_of_a_press_can_be_asked_for():
         ("angle", 0, 0),
         ("radius", -1, -1),
         ("highest", 4.0, 4.0),
+        ("highest", 33.0, 33.0),
         ("modes", ("00", "99c"), "99c"),
+        ("modes", (), ()),
     ],
 )
 def test_bends_that_cannot_be_are_refused(setting, given, value):
@@ -233,6 +256,23 @@ def test_bends_that_cannot_be_are_refused(setting, given, value):
     error = refused(lambda: bend(AIR, BAND, **words), setting=setting, value=value)
     if setting == "bend_radius":
         assert error.allowed[0] == pytest.approx(4.158e-3, rel=1e-3)
+
+
+def test_frequencies_that_need_ambiguous_modes_are_refused_with_the_highest_possible():
+    """Modes (1,10) and above would have names that are misread."""
+    words = {"radius": 25e-3, "bend_radius": 0.2, "angle": 0.5}
+    error = refused(lambda: bend(AIR, [60e3], **words), setting="highest")
+    assert "use frequencies up to 53316 Hz with highest = 30.5" in error.advice
+    with pytest.raises(ConfigError, match="each of modes = 0 is of type int"):
+        bend(AIR, BAND, radius=RADIUS, **WRAP, modes=[0])
+
+
+def test_parts_that_are_too_sharp_are_refused():
+    parts = [Bent(length=0.1, curvature=c) for c in (25.0, 300.0)]
+    error = refused(
+        lambda: joined_bends(AIR, BAND, parts, radius=RADIUS), setting="curvature", value=300.0
+    )
+    assert error.allowed[1] == pytest.approx(0.95 / RADIUS)
 
 
 def test_frequencies_that_fall_are_refused():

@@ -1,16 +1,19 @@
 """Tubes with presses joined from scattering matrices, against closed forms and full simulations."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 import trimesh
+from refusals import refused
 from wave_lumens import BORE, pinched_tube
 
 from acoustube.air import Air, air_at
+from acoustube.base.errors import ConfigError
 from acoustube.waves import (
     PlacedScatterer,
     Pulse,
+    SampledPulse,
     Scattering,
     axial_wavenumber,
     cut_cells,
@@ -23,6 +26,8 @@ from acoustube.waves import (
 )
 from acoustube.waves.interpolation import interpolate_scattering
 from acoustube.waves.modes.grid_modes import mode_numbers
+from acoustube.waves.scattering import ModalScattering
+from acoustube.waves.spectral import SpectralScattering
 
 AIR = Air(sound_speed=343.2, density=1.204, viscosity=1.8133e-5, prandtl=0.70520337)
 """Air of the table below."""
@@ -264,6 +269,66 @@ def test_frequencies_too_far_apart_or_uneven_are_refused():
         interpolate_scattering(two_modes, coarse)
     with pytest.raises(ValueError, match="must be evenly spaced"):
         interpolate_scattering(mirror(0.5, uneven), uneven)
+
+
+def test_probe_between_a_press_and_its_position_is_on_the_side_of_the_source():
+    """A mirror at 0.33 m, given at its place and by coefficients at planes 3 cm away from it."""
+    frequency, far = np.arange(10e3, 25e3, 100.0), 0.03
+    there = mirror(0.6, frequency)
+    turn = np.exp(-2j * axial_wavenumber(0, 0, frequency, BORE, AIR, lossy=False) * far)
+    s = there.s.copy()
+    s[:, 0, 0, 0, 0] *= turn
+    s[:, 1, 0, 1, 0] /= turn
+    beyond = replace(there, s=s, extent=(far - 0.01, far + 0.01))
+    before = PlacedScatterer(beyond, 0.3).from_other_end(0.66).scattering
+    heard = [
+        transfer(
+            [PlacedScatterer(press, place)], AIR, frequency, radius=BORE, length=1.0, lossy=False,
+            source_reflection=0.0, probes=(0.1, 0.31, 0.35, 0.5),
+        )
+        for press, place in ((there, 0.33), (beyond, 0.3), (before, 0.36))
+    ]  # fmt: skip
+    assert heard[1] == pytest.approx(heard[0], abs=1e-9)
+    assert heard[2] == pytest.approx(heard[0], abs=1e-9)
+
+
+def test_mirrored_scatterer_has_all_its_matrices_mirrored():
+    rng = np.random.default_rng(5)
+    shape = len(FREQUENCY), 2, 1, 2, 1
+    press = replace(mirror(0.5, FREQUENCY), settled=rng.random(shape) < 0.5)
+    turned = PlacedScatterer(press, 0.3).from_other_end(1.0).scattering
+    assert np.array_equal(turned.settled, press.settled[:, ::-1, :, ::-1])
+    shared = {f.name: getattr(press, f.name) for f in fields(ModalScattering)}
+    spectral = SpectralScattering(
+        **shared, derivative=rng.random(shape) + 0j, error=np.zeros(len(FREQUENCY)),
+        tolerance=1e-3, degree=6, n_elements=4, n_shifts=2, n_fields=9,
+    )  # fmt: skip
+    turned = PlacedScatterer(spectral, 0.3).from_other_end(1.0).scattering
+    assert np.array_equal(turned.derivative, spectral.derivative[:, ::-1, :, ::-1])
+    assert PlacedScatterer(replace(spectral, derivative=None), 0.3).from_other_end(1.0)
+
+
+def test_tubes_that_cannot_be_joined_are_refused_by_what_is_wrong():
+    refused(lambda: PlacedScatterer(mirror(0.5, FREQUENCY), np.nan), setting="position")
+    one = PlacedScatterer(mirror(0.5, FREQUENCY[:1]), 0.3)
+    with pytest.raises(ConfigError, match="a press of one frequency cannot be interpolated"):
+        transfer([one], AIR, FREQUENCY[:1], **tube())
+    far = np.full(len(FREQUENCY), 0.5)
+    words = {"duration": 1e-3, "far_reflection": far, **tube()}
+    error = refused(lambda: probe_pressure([], AIR, PULSE, **words), setting="far_reflection")
+    assert error.advice == "give one number"
+    bump = SampledPulse(pressure=np.hanning(101), rate=1e6)
+    with pytest.raises(ConfigError, match="the pulse has a mean, which this method cannot"):
+        probe_pressure([], AIR, bump, duration=2e-3, **tube())
+
+
+def test_lists_of_frequencies_and_reflections_are_taken_as_arrays():
+    f, far = [41e3, 42e3], [0.1, 0.2 + 0.1j]
+    found = transfer([], AIR, f, far_reflection=far, **tube())
+    wanted = transfer([], AIR, np.array(f), far_reflection=np.array(far), **tube())
+    assert np.array_equal(found, wanted)
+    refused(lambda: transfer([], AIR, ["x"], **tube()), setting="frequency")
+    refused(lambda: transfer([], AIR, [[1.0], [1.0, 2.0]], **tube()), setting="frequency")
 
 
 def twice_pinched(length, pinches):

@@ -34,13 +34,14 @@ AREA_AT_4_MM = np.loadtxt(
 )
 
 
-def fabricated(displacement=0.0):
+def fabricated(displacement=0.0, *, rod=ROD, z=0.0):
     """Return an indentation of one increment with given instead of computed displacements."""
-    mesh = sweep(TUBE, pressed_reach(TUBE.outer_diameter, ROD))
+    reach = pressed_reach(TUBE.outer_diameter, rod) + z
+    mesh = sweep(TUBE, reach, halved=(True, z == 0.0), presses=[z])
     with jax.enable_x64(True):
         untouched = first_touch(
             TUBE,
-            (Indenter(diameter=ROD),),
+            (Indenter(diameter=rod, z=z),),
             support="held",
             layer=None,
             material=neo_hookean_wall(TUBE),
@@ -103,6 +104,19 @@ def test_outer_rings_are_a_wall_thickness_away():
 @pytest.fixture(scope="module")
 def pressed_lumen():
     return lumen(pressed(1, 2), 0.15)
+
+
+def test_lumen_is_pressed_where_the_tool_is():
+    """A dent at 30 mm beside the middle, by its centre of gravity; between rings within 20 um."""
+    place, untouched = 30e-3, fabricated(z=30e-3)
+    _, y, z = untouched.mesh.points.T
+    dent = 1e-3 * np.exp(-(((z - place) / 3e-3) ** 2)) * np.clip(y / RADIUS, 0, None)
+    moved = np.zeros((1, len(z), 3))
+    moved[0, :, 1] = -dent
+    rings = lumen(dataclasses.replace(untouched, displacement=moved), 0.2).rings
+    z = 0.2 + place + np.linspace(-10e-3, 10e-3, 401)
+    missing = 2 * RADIUS - section(rings, z).height
+    assert (z @ missing) / missing.sum() == pytest.approx(0.2 + place, abs=20e-6)
 
 
 def test_surface_is_closed_and_faces_outwards_from_end_to_end(pressed_lumen):
@@ -219,6 +233,18 @@ def test_planes_beside_the_surface_measure_nothing():
     assert np.all(beside.width == 0)
 
 
+def test_lists_are_measured_and_straightened_as_arrays():
+    rings = cone(12)
+    points, triangles = rings.reshape(-1, 3), ring_faces(*rings.shape[:2])
+    z = [0.1, 0.2]
+    found = profile(points.tolist(), triangles.tolist(), z)
+    assert np.array_equal(found.area, profile(points, triangles, np.array(z)).area)
+    assert profile(points, triangles, []).area.shape == (0,)
+    assert measure(fabricated(), -1, []).height.shape == (0,)
+    line = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.02]]
+    assert straighten([[0.0, 1e-3, 0.01]], line)[0] == pytest.approx([0.0, 1e-3, 0.01])
+
+
 def test_ring_faces_close_a_prism_of_known_volume():
     """A unit square prism of height 2 in three rings: 12 + 8 triangles, volume 2, outwards."""
     square = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]]) / np.sqrt(2)
@@ -288,6 +314,18 @@ def test_press_too_near_an_end_is_refused(position):
     lumen(fabricated(), 0.06)
 
 
+def test_advice_for_a_press_too_near_an_end_can_be_followed():
+    """With a rod of 10 mm, 49.4 mm are needed on each side; a tube of 9 cm is too short."""
+    found = fabricated(rod=10e-3)
+    error = refused(lambda: lumen(found, 0.01), setting="position", value=0.01)
+    assert error.advice == "use 0.050 m or more from both ends"
+    lumen(found, 0.05)
+    short = dataclasses.replace(found, tube=Tube(length=0.09))
+    error = refused(lambda: lumen(short, 0.045), setting="position", value=0.045)
+    assert error.advice == "use a tube of 0.100 m or more"
+    lumen(dataclasses.replace(found, tube=Tube(length=0.1)), 0.05)
+
+
 def test_closed_lumen_is_a_closed_surface_that_does_not_cross_itself():
     """Walls 0.015 mm apart are in contact by the barrier; the gap between them remains."""
     mesh = fabricated().mesh
@@ -310,7 +348,10 @@ def test_whole_tube_of_a_pressed_part_is_the_lumen(position):
     assert np.ptp(whole.rings[..., 2]) == pytest.approx(0.4, abs=1e-12)
     np.testing.assert_allclose(whole.rings[2:-2], built.rings[2:-2], atol=1e-12)
     assert whole.surface.volume == pytest.approx(built.surface.volume, rel=1e-6)
-    refused(lambda: whole_tube(pressed_part(found), 0.02, 0.4), setting="position", value=0.02)
+    error = refused(
+        lambda: whole_tube(pressed_part(found), 0.02, 0.4), setting="position", value=0.02
+    )
+    whole_tube(pressed_part(found), float(error.advice.split()[1]), 0.4)
 
 
 def test_each_increment_has_its_own_lumen():

@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.special import jv
 from wave_lumens import BORE, straight_tube
 
 from acoustube.air import air_at
+from acoustube.base.errors import ConfigError
 from acoustube.waves import (
     ModalProbe,
     PointProbe,
@@ -112,3 +114,12 @@ def test_mode_below_its_cut_on_decays_exponentially():
 def test_modes_and_points_that_are_not_there_are_refused(words, part):
     with pytest.raises(ValueError, match=part):
         propagate(CELLS, AIR, PULSE, duration=1e-3, **words)
+
+
+def test_probe_in_a_closed_layer_is_refused():
+    """Between two lumens 10 mm apart."""
+    parts = [straight_tube(0.03, sections=24) for _ in range(2)]
+    parts[1].apply_translation([0.0, 0.0, 0.04])
+    cells = cut_cells(trimesh.util.concatenate(parts), BORE / 4)
+    with pytest.raises(ConfigError, match=r"the lumen is closed at probe = 0.035 m; move it"):
+        propagate(cells, AIR, PULSE, duration=1e-3, probes=(0.02, 0.035))

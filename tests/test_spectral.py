@@ -6,12 +6,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from acoustube.air import Air
 from acoustube.base.errors import ConfigError
 from acoustube.waves import Scattering, axial_wavenumber, spectral
 from acoustube.waves.scattering import ModalScattering
-from acoustube.waves.spectral import boundary, first_basis, layers
+from acoustube.waves.spectral import boundary, first_basis, layers, solver
+from acoustube.waves.spectral.band import swept
 from acoustube.waves.spectral.discretisation import discretise, respond
 from acoustube.waves.spectral.ports import axial_wavenumbers, changed_scattering, scattering_of
 from acoustube.waves.spectral.quadrature import axial_rule
@@ -234,13 +236,43 @@ def test_result_is_a_scattering_matrix_that_a_tube_can_be_joined_from():
     ("change", "words"),
     [
         ({"frequency": np.array([2e4, 1e4])}, "frequency must be positive"),
-        ({"tolerance": 0.5}, "tolerance = 0.5 is outside"),
+        ({"frequency": np.array([1e4, np.inf])}, "frequency = .* is out of range or not finite"),
+        ({"tolerance": 0.5}, "tolerance = 0.5 is out of range; use 1e-06 to 0.1"),
+        ({"tolerance": "x"}, "tolerance = 'x' is not a number"),
+        ({"reference": (0.0,)}, r"reference = .* has shape \(1,\)"),
+        ({"wall": None}, "wall = None is of type NoneType"),
+        ({"air": None}, "air = None is of type NoneType"),
     ],
 )
 def test_what_cannot_be_solved_is_refused_in_one_sentence(change, words):
-    arguments = {"frequency": np.array([1e4, 2e4])} | change
+    arguments = {"wall": wall("A"), "air": AIR, "frequency": np.array([1e4, 2e4])} | change
     with pytest.raises(ConfigError, match=words):
-        spectral.scatter_spectral(wall("A"), AIR, **arguments)
+        spectral.scatter_spectral(**arguments)
+
+
+def test_odd_number_of_points_of_a_symmetric_wall_is_refused():
+    """Half of the points would leave out half of the piece at the top: |R| would be 5 % off."""
+    words = {"ends": (-12e-3, 12e-3), "radius": RADIUS, "n_points": 97}
+    error = refused(
+        lambda: spectral.analytic_wall(shape("A"), **words), setting="n_points", value=97
+    )
+    assert error.advice == "use 98"
+    spectral.analytic_wall(shape("A"), **words, symmetric=False)
+
+
+def test_number_of_fields_is_that_of_the_larger_space(monkeypatch):
+    """A reversible lumen has spaces of two symmetries along it; here the second is larger."""
+    sizes = []
+
+    def recorded(*given):
+        found = swept(*given)
+        sizes.append([space.fields.shape[-1] for space in found[0]])
+        return found
+
+    monkeypatch.setattr(solver, "swept", recorded)
+    found = spectral.scatter_spectral(wall("E"), AIR, np.array([20e3]), symmetric_only=True)
+    assert len(sizes[-1]) == 2
+    assert found.n_fields == max(sizes[-1])
 
 
 def test_lumens_without_straight_ends_alike_are_refused():

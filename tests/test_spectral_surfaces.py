@@ -15,7 +15,13 @@ from acoustube.cli import scatter as command
 from acoustube.lumen import ring_faces
 from acoustube.runs.scattering_file import read
 from acoustube.waves import cut_cells, scatter, section_cut_ons
-from acoustube.waves.spectral import rings_of_surface, scatter_spectral, wall_of
+from acoustube.waves.spectral import (
+    SurfaceRings,
+    rings_of_surface,
+    scatter_spectral,
+    wall_of,
+)
+from acoustube.waves.spectral.ends import section_of
 
 FREQUENCY = np.array([12e3, 20e3, 30e3, 38e3])
 
@@ -125,6 +131,73 @@ def test_section_of_two_parts_is_refused():
         rings_of_surface(trimesh.util.concatenate([left, right]))
 
 
+def narrowed(length, radius, n=100):
+    """A round bore with a given radius by z, by rings that are close around its middle alone."""
+    middle = length / 2
+    z = np.unique([0.0, *np.linspace(middle - 12e-3, middle + 12e-3, n), length])
+    t = 2 * np.pi * np.arange(64) / 64
+    r = np.broadcast_to(radius(z), z.shape)[:, None]
+    return surface_of(np.stack([r * np.sin(t), -r * np.cos(t), z[:, None] + 0 * t], axis=-1))
+
+
+def test_long_tube_is_cut_where_its_section_changes():
+    """A throat in 4 m of tube, 500 bores: its sections are those of a tube of 3 cm."""
+
+    def throat(length):
+        surface = narrowed(
+            length, lambda z: RADIUS * (1 - 0.6 * np.exp(-(((z - length / 2) / 2e-3) ** 2)))
+        )
+        return wall_of(rings_of_surface(surface, length / 2))
+
+    short, long = throat(30e-3), throat(4.0)
+    z = np.linspace(-6e-3, 6e-3, 121)
+    y = [-of.lines(z)[1].min(axis=1) for of in (short, long)]
+    wanted = RADIUS * (1 - 0.6 * np.exp(-((z / 2e-3) ** 2)))
+    assert y[0] == pytest.approx(wanted, abs=20e-6)
+    assert y[1] == pytest.approx(wanted, abs=20e-6)
+
+
+def test_straight_part_of_a_surface_needs_no_sections():
+    """Only the pinch, of 24 mm, and two sections at each end are cut, evenly spaced."""
+    rings = rings_of_surface(pinched("A"), 20e-3).rings
+    heights = rings[1:-1, 0, 2]
+    assert heights[2] > 7e-3
+    step = np.diff(heights)[3]
+    assert np.diff(heights)[2:-2] == pytest.approx(np.full(len(heights) - 5, step))
+    assert rings[2, :, :2] == pytest.approx(rings[1, :, :2], abs=1e-9)
+
+
+def test_surface_that_changes_over_too_long_a_part_is_refused():
+    z = np.linspace(0, 1.0, 1500)
+    radius = RADIUS * (1 + 0.1 * np.sin(2 * np.pi * z / 0.05) * (np.abs(z - 0.5) < 0.45))
+    t = 2 * np.pi * np.arange(16) / 16
+    x, y = (radius[:, None] * part for part in (np.sin(t), -np.cos(t)))
+    wavy = surface_of(np.stack([x, y, z[:, None] + 0 * t], axis=-1))
+    with pytest.raises(ConfigError, match=r"changes over 9\d\d(\.\d)? mm, and the spectral"):
+        rings_of_surface(wavy)
+
+
+def test_barrel_that_is_not_straight_at_its_ends_is_refused():
+    """As a surface, whose ends are cut inside of it, and as rings."""
+    z = np.linspace(0, 30e-3, 64)
+    t = 2 * np.pi * np.arange(64) / 64
+    r = RADIUS * (1 + 0.3 * np.sin(np.pi * z / 30e-3))[:, None]
+    rings = np.stack([r * np.sin(t), -r * np.cos(t), z[:, None] + 0 * t], axis=-1)
+    with pytest.raises(ConfigError, match="not straight at its ends"):
+        rings_of_surface(surface_of(rings), 15e-3)
+    with pytest.raises(ConfigError, match="not straight at its ends"):
+        wall_of(SurfaceRings(rings, 15e-3, True, 1e-6))
+
+
+def test_modes_of_equal_cut_on_keep_their_own_coefficients():
+    section = section_of(replace(wall("A"), circular=False), False)
+    zeros = section.modes.zeros.copy()
+    zeros[2] = zeros[1]
+    modes = replace(section.modes, zeros=zeros)
+    chosen = replace(section, modes=modes).chosen(modes.part(slice(0, 4)))
+    assert np.array_equal(chosen, section.coefficients[:, :4])
+
+
 def test_ends_of_different_section_are_refused():
     z = np.linspace(0, 40e-3, 41)
     radius = RADIUS * (1 + 0.1 / (1 + np.exp(-(z - 20e-3) / 2e-3)))
@@ -171,7 +244,7 @@ def test_command_marches_lumens_unsuitable_for_the_spectral_solver(lumen_file, m
     result = run_here("scatter", lumen_file, *WORDS, "--method", "spectral")
     assert result.returncode == 0, result.stderr
     words = " ".join(result.stdout.split())
-    assert "The march computed the scattering, not the spectral solver: the section at z" in words
+    assert "since the spectral solver cannot: the section at z" in words
     assert Path("s.nc").exists()
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from acoustube.air import air_at
+from acoustube.base.errors import SimulationError
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.modes.yielding_wall import (
     YieldingWall,
@@ -86,3 +87,35 @@ def test_speed_rises_by_the_walls_inertia_and_is_the_rigid_walls_in_the_limit():
     heavy = YieldingWall(density=1e6, shear_modulus=1e12)
     still = yielding_wavenumber(FREQUENCY, RADIUS, AIR, heavy)
     assert still == pytest.approx(rigid, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "wall",
+    [
+        WALL, YieldingWall(thickness=0.3e-3),
+        YieldingWall(thickness=0.5e-3, shear_modulus=2e5, loss_factor=0.02),
+    ],
+)  # fmt: skip
+def test_wavenumber_solves_its_equation_about_the_walls_resonance(wall):
+    """The resonances are at 1.5, 1.7 and 1 kHz; far above, two fixed-point steps give the same."""
+    f = np.linspace(200, 6e3, 300)
+    rigid = axial_wavenumber(0, 0, f, RADIUS, AIR)
+
+    def squared(k):
+        yields = wall_compliance(f, k, RADIUS, wall)
+        return rigid**2 + 2 * AIR.density * (2 * np.pi * f) ** 2 * yields / RADIUS
+
+    found = yielding_wavenumber(f, RADIUS, AIR, wall)
+    assert found**2 == pytest.approx(squared(found), rel=1e-9)
+    assert found.real.min() > 0
+    assert found.imag.max() < 0
+    twice = np.sqrt(squared(np.sqrt(squared(rigid))))
+    above = f > 5e3
+    assert found[above] == pytest.approx(twice[above], rel=1e-5)
+
+
+def test_wall_that_is_too_thick_for_the_frequency_is_told():
+    """Over 800 wavelengths of shear waves, at which the Bessel functions overflow."""
+    thick = YieldingWall(thickness=60e-3, shear_modulus=1e5, loss_factor=0.5)
+    with pytest.raises(SimulationError, match="not found at 100000 Hz"):
+        yielding_wavenumber([10e3, 100e3], 20e-3, AIR, thick)

@@ -113,7 +113,7 @@ def measure(
 @checked(
     vertices=Reals(-1e6, 1e6, "m", ndim=2, last=3),
     triangles=Reals(0, 2**53, ndim=2, last=3, kinds="iu"),
-    z=Reals(-1e6, 1e6, "m", ndim=1),
+    z=Reals(-1e6, 1e6, "m", ndim=1, empty=True),
 )
 def profile(vertices: Array, triangles: Index, z: Array, *, halved: bool = False) -> Profile:
     """Measure the cross-sections of a tube-like surface in planes z = const.
@@ -150,7 +150,7 @@ def profile(vertices: Array, triangles: Index, z: Array, *, halved: bool = False
             f"triangles name vertex {np.max(triangles)}, and vertices has {len(vertices)} rows; "
             "number them from 0"
         )
-    z = np.asarray(z, float)
+    vertices, triangles, z = np.asarray(vertices), np.asarray(triangles), np.asarray(z, float)
     plane, start, end = _segments(vertices, triangles, z)
     cross = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
     area = 0.5 * np.abs(np.bincount(plane, cross, minlength=z.size))

@@ -44,6 +44,7 @@ def straighten(points: Array, line: Array) -> Array:
     ValueError
         If the curve has fewer than two points, or the same point twice in succession.
     """
+    points, line = np.asarray(points, float), np.asarray(line, float)
     if len(line) < 2:
         raise ValueError("line has fewer than 2 points; give more")
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
@@ -64,8 +65,8 @@ def straighten(points: Array, line: Array) -> Array:
             break
     else:
         raise SimulationError(
-            "The pressed tube is bent too sharply to be straightened; use support 'held', a larger "
-            "indenter or a smaller depth."
+            "the pressed tube is bent too sharply to be straightened; use support 'held', a larger "
+            "indenter or a smaller depth"
         )
     direction = tangent(s)
     normal = np.stack([direction[..., 1], -direction[..., 0]], axis=-1)

@@ -184,10 +184,7 @@ def lumen(indentation: Indentation, position: float, increment: int = -1) -> Lum
     reach = max(np.abs(wall[..., 2]).max() for wall in walls)
     room = min(position, tube.length - position)
     if not reach < room:
-        raise ConfigError(
-            f"is too near an end of the tube with length = {tube.length:g} m", setting="position",
-            value=position, unit="m", advice=f"use {reach:.3f} m or more from both ends.",
-        )  # fmt: skip
+        raise _too_near_an_end(position, tube.length, reach)
     # Over one more outer diameter at most, the section blends into the undeformed circle.
     round_from = reach + min(tube.outer_diameter, (room - reach) / 2)
     ends = position + np.array([-1, 1]) * round_from
@@ -253,18 +250,27 @@ def whole_tube(part: Lumen, position: float, length: float) -> Lumen:
 
     def longer(rings: Array) -> Array:
         moved = rings + shift
-        if not 0 < moved[1, :, 2].min() <= moved[-2, :, 2].max() < length:
-            raise ConfigError(
-                f"is too near an end of the tube with length = {length:g} m", setting="position",
-                value=position, unit="m",
-                advice=f"use {part.position:.3f} m or more from both ends.",
-            )  # fmt: skip
+        low, high = moved[1, :, 2].min(), moved[-2, :, 2].max()
+        if not 0 < low <= high < length:
+            raise _too_near_an_end(position, length, max(position - low, high - position))
         moved[0, :, 2], moved[-1, :, 2] = 0.0, length
         return moved
 
     return dataclasses.replace(
         part, rings=longer(part.rings), outer_rings=longer(part.outer_rings), position=position
     )
+
+
+def _too_near_an_end(position: float, length: float, reach: float) -> ConfigError:
+    """Return the error of a position that is not more than `reach` from both ends of a tube."""
+    least = (np.floor(1e3 * reach) + 1) / 1e3  # in whole mm
+    advice = f"use {least:.3f} m or more from both ends"
+    if 2 * least > length:
+        advice = f"use a tube of {2 * least:.3f} m or more"
+    return ConfigError(
+        f"is too near an end of the tube with length = {length:g} m", setting="position",
+        value=position, unit="m", advice=advice,
+    )  # fmt: skip
 
 
 def _straight(wall: Array, bottom: Array, floor: float, mesh: Mesh) -> Array:
@@ -281,7 +287,9 @@ def _straight(wall: Array, bottom: Array, floor: float, mesh: Mesh) -> Array:
         return np.concatenate([half[:0:-1] * [1, 1, -1], half])
     mirror = np.array([1, 1, -1])
     before = straighten(wall[middle::-1] * mirror, bottom[middle::-1] * mirror) * mirror
-    return np.concatenate([before[:0:-1], straighten(wall[middle:], bottom[middle:])])
+    # Arc lengths count from the ring nearest to z = 0, which may lie beside it.
+    straight = np.concatenate([before[:0:-1], straighten(wall[middle:], bottom[middle:])])
+    return np.asarray(straight + np.array([0.0, 0.0, bottom[middle, 2]]))
 
 
 def _with_ends(pressed: Array, ring: Array, position: float, ends: Array, length: float) -> Array:

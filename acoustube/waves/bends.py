@@ -44,7 +44,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 
 from acoustube.air import Air
-from acoustube.base.checks import BORE, FREQUENCIES, Several, check_fields, checked
+from acoustube.base.checks import BORE, FREQUENCIES, Optional, Several, check_fields, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.waves.grid.polyhedron import Array
@@ -53,7 +53,7 @@ from acoustube.waves.modes.bore_couplings import BoreModes, bore_modes
 from acoustube.waves.modes.grid_modes import mode_numbers, wavenumbers
 from acoustube.waves.port_waves import Complex
 from acoustube.waves.scattering import ModalScattering, PlaneWave
-from acoustube.waves.star_product import star_product
+from acoustube.waves.star_product import from_transfer, star_product
 
 LARGEST_ZERO = 10.0
 """Largest j'mn, zero of a Bessel function's derivative, of the modes in the sums. With 14 the
@@ -71,6 +71,9 @@ LONGEST = 100.0
 """Largest length of a bend in m: along a longer one the amplitudes underflow."""
 LARGEST_CURVATURE = 0.95
 """Largest ratio of bore radius to bend radius; at 1 the inner wall is folded."""
+HIGHEST = Number(1, 30.5)
+"""Allowed `highest`. From the mode (1,10), of j' = 30.6, names as ``11c`` would be ambiguous."""
+NAMES = Optional(Several(str, 1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,14 +108,9 @@ class Bent:
 
 
 @checked(
-    air=Air,
-    frequency=FREQUENCIES,
-    radius=BORE,
-    bend_radius=Number(-1e6, 1e6, "m"),
-    angle=Number(-1e6, 1e6, "rad"),
-    torsion=Number(-1e6, 1e6, "1/m"),
-    highest=Number(1, 50),
-)
+    air=Air, frequency=FREQUENCIES, radius=BORE, bend_radius=Number(-1e6, 1e6, "m"),
+    angle=Number(-1e6, 1e6, "rad"), torsion=Number(-1e6, 1e6, "1/m"), modes=NAMES, highest=HIGHEST,
+)  # fmt: skip
 def bend(
     air: Air,
     frequency: ArrayLike,
@@ -147,7 +145,7 @@ def bend(
         Modes of the result, in this order: those of the presses with which it is combined. By
         default, all modes that propagate at the highest frequency.
     highest : float
-        Largest j'mn of the modes that are computed.
+        Largest j'mn of the modes that are computed, from 1 to 30.5.
 
     Returns
     -------
@@ -174,12 +172,9 @@ def bend(
 
 
 @checked(
-    air=Air,
-    frequency=FREQUENCIES,
-    parts=Several(Bent, 1),
-    radius=BORE,
-    highest=Number(1, 50),
-)
+    air=Air, frequency=FREQUENCIES, parts=Several(Bent, 1), radius=BORE, modes=NAMES,
+    highest=HIGHEST,
+)  # fmt: skip
 def joined_bends(
     air: Air,
     frequency: ArrayLike,
@@ -197,8 +192,7 @@ def joined_bends(
     air, frequency, radius, lossy, modes, highest
         See :func:`bend`.
     parts : sequence of Bent
-        In their order along the tube, of curvatures below 1 / `radius`, which is not checked. The
-        normal, towards the centre of curvature, is continuous.
+        In their order along the tube. The normal, towards the centre of curvature, is continuous.
 
     Returns
     -------
@@ -206,6 +200,7 @@ def joined_bends(
         See :func:`bend`, also for the errors that are raised.
     """
     frequency = np.atleast_1d(np.asarray(frequency, float))
+    _check_curvature(radius, max(part.curvature for part in parts))
     _check_sound(frequency, radius, highest, air)
     bore = bore_modes(highest)
     names = _result_modes(modes, bore, frequency, radius, air)
@@ -224,14 +219,16 @@ def joined_bends(
 def _plane_wave(
     air: Air, frequency: Array, bore: BoreModes, radius: float, parts: Sequence[Bent], lossy: bool
 ) -> PlaneWave:
-    """Return the plane wave in bends: the bent bore's mode of largest wavenumber."""
+    """Return the plane wave in bends: the bent bore's travelling mode of largest wavenumber."""
     few = len(frequency) <= PLANE_NODES
     nodes = frequency if few else np.linspace(frequency[0], frequency[-1], PLANE_NODES)
     found = []
     for part in parts:
         generator, _ = bend_generator(air, nodes, bore, radius, part, lossy)
         own = 1j * np.linalg.eigvals(generator)
-        first = np.argmax(own.real, axis=1)
+        # With losses or torsion the wavenumbers of evanescent modes have real parts too.
+        travels = np.abs(own.imag) <= own.real
+        first = np.argmax(np.where(travels, own.real, -np.inf), axis=1)
         found.append(np.take_along_axis(own, first[:, None], 1)[:, 0])
     wavenumber = np.stack(found)
     if not few:
@@ -288,6 +285,17 @@ def _check_bend(radius: float, bend_radius: float, angle: float) -> None:
         )  # fmt: skip
 
 
+def _check_curvature(radius: float, curvature: float) -> None:
+    """Validate the largest curvature of several bends, up to rounding."""
+    if curvature * radius > LARGEST_CURVATURE * (1 + 1e-9):
+        most = LARGEST_CURVATURE / radius
+        raise ConfigError(
+            f"is too sharp for a bore radius of {radius:.4g} m", setting="curvature",
+            value=curvature, unit="1/m", allowed=(0, most),
+            advice=f"use at most {0.999 * most:.4g}",
+        )  # fmt: skip
+
+
 def _check_length(angle: float, bend_radius: float) -> None:
     """Validate the length of a bend's centre line."""
     if not 1e-9 <= angle * bend_radius <= LONGEST:
@@ -301,12 +309,15 @@ def _check_sound(frequency: Array, radius: float, highest: float, air: Air) -> N
     """Validate that the frequencies increase, and that the modes suffice for the highest."""
     if frequency.ndim != 1 or not np.all(np.diff(frequency, prepend=0.0) > 0) or not frequency.size:
         raise ConfigError("frequency must be positive and increasing; give a 1-D array in Hz")
-    if 2 * pi * frequency[-1] * radius / air.sound_speed > 0.8 * highest:
+    least = 2 * pi * frequency[-1] * radius / air.sound_speed / 0.8
+    if least > highest:
+        advice = f"use {ceil(100 * least) / 100:g} or more"
+        if least > HIGHEST.high:
+            most = frequency[-1] * HIGHEST.high / least
+            advice = f"use frequencies up to {int(most)} Hz with highest = {HIGHEST.high:g}"
         raise ConfigError(
             f"is too low for frequency = {frequency[-1]:g} Hz and radius = {radius:g} m",
-            setting="highest", value=highest,
-            advice="use "
-            f"{2 * pi * frequency[-1] * radius / air.sound_speed / 0.8:.3g} or more",
+            setting="highest", value=highest, advice=advice,
         )  # fmt: skip
 
 
@@ -340,7 +351,7 @@ def _bend_scattering(
     growth = part.length * max(bore.zeros.max(), 1.0) / radius  # 0 of the plane mode alone
     n_doublings = max(0, ceil(log2(growth / SLICE_EXPONENT)))
     slice_ = expm(generator * (part.length / 2**n_doublings))
-    s = _as_scattering(slice_, admittance)
+    s = from_transfer(slice_, admittance)
     for _ in range(n_doublings):
         s = star_product(s, s)
     return s
@@ -386,15 +397,3 @@ def bend_generator(
     generator[:, :m, m:] = -1j * k * to_pressure
     generator[:, m:, :m] = -1j * k * to_velocity
     return generator, waves / k[:, 0]
-
-
-def _as_scattering(transfer: Complex, admittance: Complex) -> Complex:
-    """Return the scattering matrix of a slice from its transfer matrix of pressure and velocity."""
-    m = admittance.shape[1]
-    one = np.broadcast_to(np.eye(m), (len(admittance), m, m))
-    y = admittance[:, :, None] * one
-    basis = np.block([[one, one], [y, -y]])
-    w = np.linalg.solve(basis, transfer @ basis)
-    back = np.linalg.inv(w[:, m:, m:])
-    turned = w[:, :m, m:] @ back
-    return np.block([[-back @ w[:, m:, :m], back], [w[:, :m, :m] - turned @ w[:, m:, :m], turned]])

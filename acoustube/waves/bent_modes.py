@@ -146,6 +146,7 @@ def bent_modes(
     ConfigError
         If a mode is not among those in the sums, or `count` is larger than their number.
     """
+    frequency = np.atleast_1d(np.asarray(frequency))
     bore = bore_modes(LARGEST_ZERO)
     place = mode_places(modes, bore)
     generator, admittance = bend_generator(air, frequency, bore, radius, part, lossy=True)

@@ -63,8 +63,8 @@ class Budget:
     def in_words(self, path: float) -> str:
         """Return the error budget as a sentence, for an echo's path in m, there and back."""
         absorbing = (
-            f"an absorbing end returns under {PLANE_WAVE_REFLECTION:.0f} dB of the plane wave, "
-            f"{self.absorption:.0f} dB of a mode 1 % over its cut-on; "
+            f"an absorbing end reflects the plane wave at under {PLANE_WAVE_REFLECTION:.0f} dB and "
+            f"a mode 1 % above its cut-on at {self.absorption:.0f} dB; "
             if self.absorption is not None
             else ""
         )
@@ -73,7 +73,7 @@ class Budget:
             f"{MM * self.delay_bias * path / 2:+.3f} mm, the bore's section by "
             f"{100 * self.section_error:+.2f} %, the cut-on of (1,1) by "
             f"{100 * self.cut_on_error:+.2f} %; {absorbing}the highest pressure at the end of the "
-            f"recording is {self.ringing:.0f} dB of that of all"
+            f"recording is {self.ringing:.0f} dB relative to its maximum"
         )
 
 
@@ -99,9 +99,9 @@ class SpectralBudget:
         """Return the error budget as a sentence."""
         return (
             "scattering coefficients by the spectral solver, with an estimated error of "
-            f"{self.spectral_error:.1g} at 95 % of the frequencies and of "
-            f"{self.largest_spectral_error:.1g} at all; the highest pressure at the end of the "
-            f"recording is {self.ringing:.0f} dB of that of all"
+            f"{self.spectral_error:.1g} or less at 95 % of the frequencies and "
+            f"{self.largest_spectral_error:.1g} at most; the highest pressure at the end of the "
+            f"recording is {self.ringing:.0f} dB relative to its maximum"
         )
 
 

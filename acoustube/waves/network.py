@@ -28,6 +28,7 @@ from acoustube.air import Air
 from acoustube.base.checks import (
     DISTANCE,
     LENGTH,
+    ONE_REFLECTION,
     PLACE,
     REFLECTION,
     WAVE_SERIES,
@@ -61,8 +62,8 @@ WRAPAROUND_ATTENUATION = 1e4
     duration=Number(1e-9, 1e4, "s"),
     time_step=Number(-1, 1, "s"),
     probes=Several(DISTANCE, 1),
-    source_reflection=REFLECTION,
-    far_reflection=REFLECTION,
+    source_reflection=ONE_REFLECTION,
+    far_reflection=ONE_REFLECTION,
 )
 def probe_pressure(
     presses: Sequence[PlacedScatterer],
@@ -74,8 +75,8 @@ def probe_pressure(
     duration: float,
     time_step: float = 1e-6,
     probes: Sequence[float] = (0.02,),
-    source_reflection: Reflection = -1.0,
-    far_reflection: Reflection = 0.0,
+    source_reflection: complex = -1.0,
+    far_reflection: complex = 0.0,
     lossy: bool = True,
 ) -> tuple[Array, Array]:
     """Return the pressure at probes along a tube, for a pulse launched at the source end.
@@ -95,8 +96,11 @@ def probe_pressure(
         Duration of the recording in s.
     time_step : float
         Sampling interval in s.
-    probes, source_reflection, far_reflection, lossy
-        See :func:`transfer`. With -1 at the source the pressure there is the pulse, afterwards 0.
+    probes, lossy
+        See :func:`transfer`.
+    source_reflection, far_reflection : complex
+        As in :func:`transfer`, one number for all frequencies. With -1 at the source the pressure
+        there is the pulse, afterwards 0.
 
     Returns
     -------
@@ -109,8 +113,8 @@ def probe_pressure(
     ------
     ValueError
         As :func:`transfer`; or if too much of the pulse's energy lies outside the band of the
-        presses, the pulse lasts longer than the recording, the time step is not positive, or the
-        recording has too many samples.
+        presses or at frequency zero, the pulse lasts longer than the recording, the time step is
+        not positive, or the recording has too many samples.
 
     Notes
     -----
@@ -202,6 +206,7 @@ def transfer(
     matrices = [interpolate_scattering(press.scattering, frequency) for press in presses]
     waves = wavenumbers(modes, frequency, radius, air, lossy=lossy)
     places = np.array([press.position for press in presses])
+    ends = [press.position + press.scattering.extent[1] for press in presses]
     planes = np.array([press.scattering.planes for press in presses]).reshape(-1, 2)
     edges = np.hstack([0.0, (places[:, None] + planes).ravel(), length]).reshape(-1, 2)
     lengths = edges[:, 1] - edges[:, 0]
@@ -210,7 +215,7 @@ def transfer(
     forward = _forward_waves(matrices, waves, lengths, loads, source_reflection, plane)
     pressure = np.zeros((len(probes), len(frequency)), complex)
     for i, probe in enumerate(probes):
-        k = int(np.searchsorted(places, probe))
+        k = int(np.searchsorted(ends, probe, side="right"))
         ahead = probe - edges[k, 0]
         there = _pressure_at(ahead, lengths[k] - ahead, waves, forward[k], loads[k].at_end)
         pressure[i] = there[:, plane]

@@ -86,6 +86,11 @@ def in_band(
     if not 0 < energy.sum() < np.inf:
         raise ValueError(f"{what} is zero, or holds values that are not finite")
     left_out = energy[~inside].sum() / energy.sum()
+    if left_out > OUT_OF_BAND_ENERGY and not presses:
+        raise ConfigError(
+            f"{what} has a mean, which this method cannot propagate; use one without, or "
+            "acoustube.waves.propagate"
+        )
     if left_out > OUT_OF_BAND_ENERGY:
         low, high = frequency[inside][[0, -1]] if inside.any() else (0.0, 0.0)
         raise ValueError(
@@ -98,6 +103,8 @@ def in_band(
 
 def check_interpolation(given: Array, cut_ons: Array, frequency: NDArray[Any]) -> None:
     """Validate the given and the required frequencies of an interpolation; all arguments in Hz."""
+    if len(given) < 2:
+        raise ConfigError("a press of one frequency cannot be interpolated; compute two or more")
     low, high = given[[0, -1]]
     least, most = np.min(np.real(frequency)), np.max(np.real(frequency))
     if not low * (1 - 1e-9) <= least <= most <= high * (1 + 1e-9):

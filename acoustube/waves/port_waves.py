@@ -91,9 +91,12 @@ class PortProblem:
         lengthened = with_straight_ends(cells, lead, lead)
         n = lengthened.shape[2]
         lengthened = replace(lengthened, length=(n - 0.5) * dz)
+        low, high = band
+        if low == high:  # the losses are fitted over a band
+            low, high = 0.8 * low, 1.25 * high
         setup = prepare(
             lengthened, air, probes=(), source_end="absorbing", far_end="absorbing",
-            absorber_thickness=absorber_thickness, lossy_band=band if lossy else None,
+            absorber_thickness=absorber_thickness, lossy_band=(low, high) if lossy else None,
         )  # fmt: skip
         if odd and middle is not None:
             setup = _antisymmetric(setup, middle, lead, air)

@@ -8,7 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acoustube.air import Air
-from acoustube.base.checks import DURATION, FLAG, LENGTH, Optional, Reals, checked
+from acoustube.base.checks import (
+    DURATION,
+    FLAG,
+    LENGTH,
+    PLACE,
+    Optional,
+    Reals,
+    check_fields,
+    checked,
+)
 from acoustube.base.errors import ConfigError
 from acoustube.waves.grid.cells import CutCells
 from acoustube.waves.grid.polyhedron import Array
@@ -117,10 +126,19 @@ class PlacedScatterer:
         which is z = 0 of its surface.
     position : float
         Distance from the source end in m.
+
+    Raises
+    ------
+    ConfigError
+        If the position is not finite.
     """
 
     scattering: ModalScattering
     position: float
+
+    def __post_init__(self) -> None:
+        """Validate the position."""
+        check_fields(self, position=PLACE)
 
     def from_other_end(self, length: float) -> PlacedScatterer:
         """Return the scatterer mirrored: as seen from the other end of a tube `length` m long."""
@@ -128,9 +146,12 @@ class PlacedScatterer:
         inside = s.inside
         if inside is not None:
             inside = PlaneWave(inside.length[::-1], inside.wavenumber[::-1])
+        # Whichever of these a class has; `derivative` may be None.
+        by_port = {name: getattr(s, name, None) for name in ("s", "settled", "derivative")}
         mirrored = replace(
-            s, s=s.s[:, ::-1, :, ::-1], inside=inside, extent=(-s.extent[1], -s.extent[0]),
+            s, inside=inside, extent=(-s.extent[1], -s.extent[0]),
             planes=(-s.planes[1], -s.planes[0]),
+            **{name: a[:, ::-1, :, ::-1] for name, a in by_port.items() if a is not None},
         )  # fmt: skip
         return PlacedScatterer(mirrored, length - self.position)
 

@@ -1,4 +1,4 @@
-"""Scattering matrices of parts in series: Redheffer's star product.
+"""Scattering matrices of a part from its transfer matrix, and of parts in series.
 
 References
 ----------
@@ -41,6 +41,32 @@ def star_product(first: Complex, second: Complex) -> Complex:
             [b21 @ onward, b22 + b21 @ returned],
         ]
     )
+
+
+def from_transfer(transfer: Complex, admittance: Complex) -> Complex:
+    """Return the scattering matrix of a part from its transfer matrix of pressure and velocity.
+
+    Parameters
+    ----------
+    transfer : ndarray
+        Matrix from the coefficients of m pressures and m velocities at the start of the part to
+        those at its end, at n frequencies, (n, 2 m, 2 m).
+    admittance : ndarray
+        Ratio of velocity to pressure of each mode's forward wave on both sides, (n, m).
+
+    Returns
+    -------
+    ndarray
+        Scattering matrix in the order of :func:`star_product`, (n, 2 m, 2 m).
+    """
+    m = admittance.shape[1]
+    one = np.broadcast_to(np.eye(m), (len(admittance), m, m))
+    y = admittance[:, :, None] * one
+    basis = np.block([[one, one], [y, -y]])
+    w = np.linalg.solve(basis, transfer @ basis)
+    back = np.linalg.inv(w[:, m:, m:])
+    turned = w[:, :m, m:] @ back
+    return np.block([[-back @ w[:, m:, :m], back], [w[:, :m, :m] - turned @ w[:, m:, :m], turned]])
 
 
 def _blocks(s: Complex, m: int) -> Any:

@@ -192,7 +192,7 @@ def _check(surface: trimesh.Trimesh, steps: Array) -> None:
         )
     start = surface.bounds[0, 2]
     if abs(start) > 1e-3 * steps[2]:
-        raise ValueError(f"surface starts at z = {start} m; move its source end to z = 0")
+        raise ValueError(f"surface starts at z = {start:.4g} m; move its source end to z = 0")
 
 
 def _complete_first_layer(parts: Fractions) -> None:

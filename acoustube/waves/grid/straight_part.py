@@ -81,8 +81,8 @@ def _last_straight_layer(cells: CutCells, last: int, inwards: int) -> int:
     straight = abs(int(changed[0]) - rim) if len(changed) else len(inside) // 2
     if straight < 3:
         raise ConfigError(
-            f"The lumen is not straight at its end of {'low' if inwards > 0 else 'high'} z; let it "
-            f"end in at least {3e3 * cells.spacing[2]:.2g} mm of straight tube."
+            f"the lumen is not straight at its end of {'low' if inwards > 0 else 'high'} z; let it "
+            f"end in at least {3e3 * cells.spacing[2]:.2g} mm of straight tube"
         )
     return rim + inwards * (straight - 1)
 
@@ -91,11 +91,11 @@ def _check_sections(first: Array, second: Array) -> None:
     """Validate that two sections are the same, and symmetric about x = 0."""
     if np.abs(first - second).max() > SYMMETRY_TOLERANCE:
         raise ConfigError(
-            "The lumen's two ends differ in section, so that their modes have no common names; "
-            "let both ends have the same section."
+            "the lumen's two ends differ in section, so that their modes have no common names; "
+            "let both ends have the same section"
         )
     if np.abs(first - first[::-1]).max() > SYMMETRY_TOLERANCE:
         raise ConfigError(
-            "The lumen's ends are not symmetric about x = 0, which the names of their modes "
-            "require; move or turn it so that they are."
+            "the lumen's ends are not symmetric about x = 0, which the names of their modes "
+            "require; move or turn it so that they are"
         )

@@ -18,14 +18,16 @@ from scipy.special import iv, kv
 
 from acoustube.air import Air
 from acoustube.base.checks import LENGTH, WAVES, Instance, check_fields, checked
+from acoustube.base.errors import SimulationError
 from acoustube.base.rules import Number
 from acoustube.tube import shear_modulus_from_shore
 from acoustube.waves.modes.round_duct import axial_wavenumber
 
 Complex = NDArray[np.complex128]
 
-ITERATIONS = 4
-"""Number of fixed-point iterations of the wavenumber; each gains two digits or more."""
+MOST_STEPS, TOLERANCE = 50, 1e-10
+"""Largest number of steps of the secant method, and largest residual of the squared wavenumber,
+relative to it. About the resonance of a wall it takes up to 20 steps, else 2 to 4."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,20 +172,50 @@ def yielding_wavenumber(
     ndarray
         kz in 1/m, (n,).
 
+    Raises
+    ------
+    ConfigError
+        If a frequency or the radius is not positive and finite.
+    SimulationError
+        If the wavenumber does not converge, as where the wall is hundreds of wavelengths of its
+        shear waves thick.
+
     Notes
     -----
     With the radius a, the wavenumber k0 between rigid walls, the density rho of the air and the
     displacement u per pressure of :func:`wall_compliance`,
     ``kz^2 = k0^2 + 2 rho omega^2 u(kz) / a``: the section yields to the pressure, which is uniform
     over it. Above the wall's resonance, 1.5 kHz in the sleeve paper's tube, the wall's inertia
-    raises the phase velocity and lowers the group velocity.
+    raises the phase velocity and lowers the group velocity. The equation is solved by the secant
+    method for kz^2, from k0^2 and from what k0 gives.
     """
     f = np.atleast_1d(np.asarray(frequency, float))
     rigid = axial_wavenumber(0, 0, f, radius, air, lossy=lossy)
-    found = rigid
-    for _ in range(ITERATIONS):
-        yields = wall_compliance(f, found, radius, wall)
-        square = rigid**2 + 2 * air.density * (2 * pi * f) ** 2 * yields / radius
-        root = np.sqrt(square)
-        found = np.where(root.imag > 0, -root, root)
-    return np.asarray(found)
+    factor = 2 * air.density * (2 * pi * f) ** 2 / radius
+
+    def excess(square: Complex) -> Complex:
+        yields = wall_compliance(f, _forward(square), radius, wall)
+        return np.asarray(square - rigid**2 - factor * yields)
+
+    with np.errstate(all="ignore"):
+        before = rigid**2
+        off_before = excess(before)
+        square = before - off_before
+        for _ in range(MOST_STEPS):
+            off = excess(square)
+            moving = ~(np.abs(off) <= TOLERANCE * np.abs(square))
+            if not moving.any():
+                return _forward(square)
+            change = np.where(off == off_before, 1.0, off - off_before)
+            step = np.where(moving, off * (square - before) / change, 0.0)
+            before, off_before, square = square, off, square - step
+    raise SimulationError(
+        f"the plane mode of a bore with a yielding wall was not found at {f[moving][0]:g} Hz; use "
+        "another frequency or a thinner wall"
+    )
+
+
+def _forward(square: Complex) -> Complex:
+    """Return the square root whose wave decays or propagates towards +z."""
+    root = np.sqrt(square)
+    return np.where(root.imag > 0, -root, root)

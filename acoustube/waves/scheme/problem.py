@@ -11,6 +11,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from acoustube.air import Air
+from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Choice
 from acoustube.waves.grid.cells import CutCells, with_straight_ends
 from acoustube.waves.grid.polyhedron import Array
@@ -156,8 +157,8 @@ def prepare(
     Raises
     ------
     ValueError
-        If an end is unknown, a probe lies outside the tube, the grid has no open cell, or the lossy
-        band is not positive and increasing.
+        If an end is unknown, a probe lies outside the tube or where the lumen is closed, the grid
+        has no open cell, or the lossy band is not positive and increasing.
     """
     Choice(get_args(SourceEnd)).check("source_end", source_end)
     Choice(get_args(FarEnd)).check("far_end", far_end)
@@ -167,6 +168,9 @@ def prepare(
     nodes = [_layer(cells, probe) for probe in probes]
     exact = with_straight_ends(cells, ahead, behind)
     whole = share_small_volumes(exact)
+    for probe, node in zip(probes, nodes, strict=True):
+        if not whole.volume_fraction[:, :, ahead + node].any():
+            raise ConfigError(f"the lumen is closed at probe = {probe:g} m; move it")
     step = marching_step(whole, air) if time_step is None else time_step
     across, dz = whole.shape[:2], cells.spacing[2]
     ends = [

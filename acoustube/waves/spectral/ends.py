@@ -70,7 +70,7 @@ class Section:
 
     def chosen(self, modes: PortModes) -> Array:
         """Return the coefficients of some of the section's modes, (n, n_modes)."""
-        return self.coefficients[:, np.searchsorted(self.modes.zeros, modes.zeros)]
+        return self.coefficients[:, [self.modes.names.index(name) for name in modes.names]]
 
 
 def end_modes(wall: Wall, highest: float, odd: bool | None, lowest: float = -1.0) -> PortModes:
@@ -188,7 +188,7 @@ def section_of(wall: Wall, odd: bool | None) -> Section:
     except np.linalg.LinAlgError as cause:
         raise ConfigError(
             "the end's section overlaps itself or is too slender for the spectral solver; use the "
-            "march (acoustube.waves.scatter)"
+            "time-domain solver (acoustube.waves.scatter)"
         ) from cause
     zeros = np.sqrt(np.maximum(square, 0.0)) * wall.radius
     if not odd:

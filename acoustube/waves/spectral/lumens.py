@@ -17,6 +17,11 @@ SAME = 1e-9
 ROUND = 1e-3
 """Largest deviation from a circle, relative to its radius, of an end that counts as round."""
 NEWTON_STEPS = 30
+NOT_STRAIGHT = (
+    "the lumen is not straight at its ends, or they differ in section; let both end in straight "
+    "tube of one section"
+)
+"""Message about a lumen whose ends cannot be continued straight."""
 
 
 class Rings(Protocol):
@@ -49,10 +54,10 @@ def wall_of(lumen: Rings) -> Wall:
     Parameters
     ----------
     lumen : Rings
-        With equal first and last rings, as those of a tube beyond a press. Its attribute `same`,
-        where it exists, is the distance in m up to which rings, or mirror images, count as equal.
-        Its attribute `sealing_gap`, where it exists, is the height in m of a gap that is half
-        sealed in a computation with losses.
+        Whose first two and last two rings are equal, as those of a tube beyond a press. Its
+        attribute `same`, where it exists, is the distance in m up to which rings, or mirror images,
+        count as equal. Its attribute `sealing_gap`, where it exists, is the height in m of a gap
+        that is half sealed in a computation with losses.
 
     Returns
     -------
@@ -79,25 +84,23 @@ def wall_of(lumen: Rings) -> Wall:
             "straight bore"
         )
     first, last = np.flatnonzero(changed)[[0, -1]]
-    if first == 0 or last == len(rings) - 1:
-        raise ConfigError(
-            "the lumen is not straight at its ends, or they differ in section; let both end in "
-            "straight tube of one section"
-        )
+    if first <= 1 or last >= len(rings) - 2:
+        raise ConfigError(NOT_STRAIGHT)
     radius, centre = _circle(rings[0])
     if radius is not None:
         rings = rings - [*centre, 0.0]
-    mirrored = np.abs(rings[::-1] * [1, 1, -1] - rings)[first - 1 : last + 2]
-    lines = Lines(rings[first - 1 : last + 2])
+    part = rings[first - 1 : last + 2]
+    mirrored = np.abs(part[::-1] * [1, 1, -1] - part)
+    lines = Lines(part)
     heights = rings[..., 2]
     return Wall(
         lines=lines,
-        knots=heights[first - 1 : last + 2].mean(axis=1),
+        knots=part[..., 2].mean(axis=1),
         ends=(float(heights[first - 1].min()), float(heights[last + 1].max())),
         radius=_effective_radius(rings[0]) if radius is None else radius,
         breaks=(float(heights[first].min()), float(heights[last].max())),
         symmetric=lumen.symmetric,
-        reversible=bool(first + last == len(rings) - 1 and mirrored.max() < same),
+        reversible=bool(mirrored.max() < same),
         circular=radius is not None,
         sealing_gap=getattr(lumen, "sealing_gap", 0.0),
     )

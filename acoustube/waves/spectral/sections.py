@@ -1,7 +1,8 @@
 """Walls of lumens that are given as closed surfaces, from contours of their sections.
 
-The surface is cut at evenly spaced z. Each contour is followed from its lowest point under the
-middle of the section, and divided evenly by arc length, which gives a stack of rings.
+The surface is cut at evenly spaced z, as far as its section changes. Each contour is followed from
+its lowest point under the middle of the section, and divided evenly by arc length, which gives a
+stack of rings.
 """
 
 from __future__ import annotations
@@ -12,19 +13,25 @@ import numpy as np
 import trimesh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, depth_first_order
+from scipy.spatial import cKDTree
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.units import MM
+from acoustube.waves.spectral.lumens import NOT_STRAIGHT
 from acoustube.waves.spectral.polynomials import Array
 
 STEP = 0.06
 """Distance between sections, relative to the size of the end."""
 MOST_SECTIONS = 1200
+"""Largest number of sections of one surface."""
 AROUND = 240
 """Number of points of a contour."""
 ALIKE = 4e-4
 """Distance up to which sections, or mirror images, count as equal, relative to the size of the end:
 facets deviate from a smooth wall by about as much."""
+RIM_POINTS = 20000
+"""Number of points of an end's contour to which the wall is compared; they are closer together than
+half of `ALIKE`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,16 +73,18 @@ def rings_of_surface(surface: trimesh.Trimesh, position: float = 0.0) -> Surface
     Raises
     ------
     ConfigError
-        If a section consists of several parts.
+        If a section consists of several parts, the ends are not straight, or the section changes
+        over a part too long for `MOST_SECTIONS`.
     """
     low, high = surface.bounds[:, 2]
     z = surface.vertices[:, 2]
     rim = surface.vertices[z - low < 1e-9 + 1e-6 * (high - low), :2]
     size = float(np.ptp(rim, axis=0).max())
-    n = min(int(np.ceil((high - low) / (STEP * size))), MOST_SECTIONS)
-    # Away from the ends, and from round numbers, at which vertices may lie.
-    heights = low + (high - low) * (np.arange(n) + 0.503) / n
+    heights = _heights(surface, size)
     contours = [_contour(surface, height, AROUND) for height in heights]
+    for end, next_to_it in (contours[:2], contours[:-3:-1]):
+        if np.abs(end - next_to_it).max() > ALIKE * size:
+            raise ConfigError(NOT_STRAIGHT)
     planes = [low, *heights, high]
     rings = np.array([contours[0], *contours, contours[-1]])
     rings = np.concatenate(
@@ -87,6 +96,54 @@ def rings_of_surface(surface: trimesh.Trimesh, position: float = 0.0) -> Surface
         rings = (rings + mirrored) / 2
     rings[[0, 1]], rings[[-2, -1]] = _straightened(rings, ALIKE * size)
     return SurfaceRings(rings, position, symmetric, ALIKE * size)
+
+
+def _heights(surface: trimesh.Trimesh, size: float) -> Array:
+    """Return the z of the sections: two at each end, and those where the section changes."""
+    low, high = surface.bounds[:, 2]
+    n = max(int(np.ceil((high - low) / (STEP * size))), 4)
+    # Away from the ends, and from round numbers, at which vertices may lie.
+    step, first = (high - low) / n, 0.503
+    start, stop = _changed_part(surface, size, low + first * step, high - (1 - first) * step)
+    begin = max(int((start - low) / step) - 2, 0)
+    end = min(int((stop - low) / step) + 3, n)
+    if end - begin > MOST_SECTIONS:
+        raise ConfigError(
+            f"the lumen's section changes over {MM * (stop - start):.4g} mm, and the spectral "
+            f"solver takes {MM * MOST_SECTIONS * step:.4g} mm at most; cut the lumen into parts, "
+            "or use the time-domain solver, acoustube.waves.scatter or --method march"
+        )
+    numbers = np.unique([0, 1, n - 2, n - 1, *range(begin, end)])
+    return np.asarray(low + (high - low) * (numbers + first) / n)
+
+
+def _changed_part(
+    surface: trimesh.Trimesh, size: float, first: float, last: float
+) -> tuple[float, float]:
+    """Return the z between which the section differs from those at `first` and at `last`.
+
+    These are the sections of the two ends. The faces between their planes are not part of the wall.
+    """
+    low, high = surface.bounds[:, 2]
+    heights, edge = surface.triangles[..., 2], 1e-9 + 1e-6 * (high - low)
+    begins, ends = heights.min(axis=1), heights.max(axis=1)
+    wall = (ends > low + edge) & (begins < high - edge)
+    middles = surface.vertices[surface.edges_unique].mean(axis=1)
+    groups = (
+        (surface.vertices, surface.faces), (middles, surface.faces_unique_edges),
+        (surface.triangles_center, np.arange(len(surface.faces))[:, None]),
+    )  # fmt: skip
+    found = []
+    for end in (first, last):
+        tree = cKDTree(_contour(surface, end, RIM_POINTS))
+        off = np.zeros(len(surface.faces), bool)
+        for points, of_face in groups:
+            near = tree.query(points[:, :2], distance_upper_bound=ALIKE / 2 * size)[0]
+            off |= np.isinf(near)[of_face].any(axis=1)
+        found.append(off & wall)
+    if not (found[0].any() and found[1].any()):
+        return low, low
+    return float(begins[found[0]].min()), float(ends[found[1]].max())
 
 
 def _contour(surface: trimesh.Trimesh, height: float, n: int) -> Array:

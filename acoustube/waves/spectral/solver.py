@@ -33,7 +33,9 @@ from scipy.ndimage import maximum_filter1d
 from threadpoolctl import threadpool_limits
 
 from acoustube.air import Air
+from acoustube.base.checks import FLAG, Reals, checked
 from acoustube.base.errors import ConfigError
+from acoustube.base.rules import Number
 from acoustube.waves.spectral.adaptation import adapted, discretised, truncation_ratio
 from acoustube.waves.spectral.band import difference, swept
 from acoustube.waves.spectral.derivatives import (
@@ -107,6 +109,10 @@ class _Part(NamedTuple):
     heights: tuple[float, float]
 
 
+@checked(
+    wall=Wall, air=Air, frequency=Reals(1e-3, 1e12, "Hz", ndim=1), tolerance=Number(1e-6, 0.1),
+    reference=Reals(-1e6, 1e6, "m", ndim=1, last=2), lossy=FLAG, symmetric_only=FLAG,
+)  # fmt: skip
 def scatter_spectral(
     wall: Wall,
     air: Air,
@@ -147,9 +153,9 @@ def scatter_spectral(
     Raises
     ------
     ConfigError
-        If the frequencies are not positive and rising, the tolerance is out of range, or an end's
-        section overlaps itself or is too slender. Also if the motion lacks a symmetry of the wall,
-        differs between the ends, makes round ends not round, or moves ends with equal cut-ons.
+        If an argument is out of range or the frequencies do not rise, or an end's section overlaps
+        itself or is too slender. Also if the motion lacks a symmetry of the wall, differs between
+        the ends, makes round ends not round, or moves ends with equal cut-ons.
     numpy.linalg.LinAlgError
         If sections of the lumen overlap themselves.
 
@@ -159,10 +165,8 @@ def scatter_spectral(
     `tolerance`. BLAS is limited to one thread in the whole process during the solution.
     """
     frequency = np.asarray(frequency, float)
-    if frequency.ndim != 1 or not np.all(np.diff(frequency, prepend=0.0) > 0) or not frequency.size:
+    if not np.all(np.diff(frequency) > 0):
         raise ConfigError("frequency must be positive and increasing; give a 1-D array in Hz")
-    if not 1e-6 <= tolerance <= 0.1:
-        raise ConfigError(f"tolerance = {tolerance:g} is outside 1e-6 to 0.1")
     k = 2 * np.pi * frequency / air.sound_speed
     parities: tuple[bool | None, ...] = (None,)
     if wall.symmetric:
@@ -239,7 +243,7 @@ def _part(task: _Task, odd: bool | None) -> _Part:
     else:
         moved, kz, drift = _without_losses(task, system, spaces)
     s, moved, names, zeros = _at_reference(s, moved, kz, drift, system, task)
-    n_fields = spaces[0].fields.shape[-1] if task.lossy else spaces[0].size
+    n_fields = max(space.fields.shape[-1] if task.lossy else space.size for space in spaces)
     return _Part(names, zeros, s, moved, error, basis, n_fields, system.heights)
 
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from acoustube.base.errors import ConfigError
 from acoustube.waves.spectral.polynomials import Array, gauss
 
 LEAST_POINTS, MOST_POINTS = 1, 8
@@ -175,7 +176,17 @@ def analytic_wall(
     Returns
     -------
     Wall
+
+    Raises
+    ------
+    ConfigError
+        If the number of points is odd and the wall symmetric.
     """
+    if symmetric and n_points % 2:
+        raise ConfigError(
+            "is odd, and the points of a symmetric wall lie in pairs", setting="n_points",
+            value=n_points, advice=f"use {n_points + 1}",
+        )  # fmt: skip
     t = 2 * np.pi * np.arange(n_points) / n_points
 
     def lines(z: Array) -> tuple[Array, Array, Array, Array]:
