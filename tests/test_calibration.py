@@ -93,7 +93,7 @@ def test_file_holds_the_calibration(calibration):
     assert again.c2 == calibration.c2
     assert again.slope == calibration.slope
     np.testing.assert_array_equal(again.amplitude, calibration.amplitude)
-    with pytest.raises(ConfigError, match=r"sensor.toml cannot be written"):
+    with pytest.raises(ConfigError, match=r"sensor.toml exists and nothing is overwritten"):
         save(calibration, "sensor.toml")
 
 

@@ -16,6 +16,7 @@ from acoustube.base.foreign.documents import read_document
 from acoustube.inversion import Baseband, ForwardModel, Inverter, Library, measured_clutter
 from acoustube.inversion.folded import baseband_of
 from acoustube.ranging import (
+    IDEAL,
     LOUDSPEAKER,
     Burst,
     Chirp,
@@ -31,7 +32,14 @@ from acoustube.recordings import write
 from acoustube.runs.sensor_file import add_rangefinder
 from acoustube.runs.sweep.dataset import rangefinder_in
 from acoustube.runs.twin_calibration import processing_of
-from acoustube.signals import Processing, calibrate, chirp_template, locate, matched_filter
+from acoustube.signals import (
+    Processing,
+    calibrate,
+    chirp_template,
+    find_lead,
+    locate,
+    matched_filter,
+)
 
 BAND = np.array([10.0, 99.99e3])
 ULTRASOUND = Rangefinder(
@@ -170,6 +178,17 @@ def test_closures_are_located_by_a_compressed_chirp_in_the_audio_band():
     assert not found.detected.any() or found.distance[0] > 0.17
 
 
+@pytest.mark.parametrize("lead", [0.0, 2e-3])
+@pytest.mark.parametrize("duration", [1e-3, 4e-3])
+def test_lead_of_a_chirp_is_found(duration, lead):
+    """It is within 30 us: the loudspeaker's own delay is 18 us."""
+    drive = replace(LOUDSPEAKER.drive, duration=duration)
+    sensor = replace(LOUDSPEAKER, drive=drive, lead=lead)
+    cycles = record([blockage(BAND, 1.5)], sensor, n_cycles=2)
+    time, signal = cycles["time"].values, cycles["signal"].values
+    assert find_lead(time, signal, processing(sensor)) == pytest.approx(lead, abs=3e-5)
+
+
 def test_calibration_compresses_chirps_and_keeps_them_in_its_file(tmp_path):
     from acoustube.signals import load, save
 
@@ -215,6 +234,22 @@ def test_audible_level_of_a_steady_tone_is_zero_and_of_ultrasound_far_below():
     assert audible_level(LOUDSPEAKER) == pytest.approx(-18, abs=2)
     assert audible_level(Rangefinder()) < -70
     assert audible_level(ULTRASOUND) < -50
+
+
+@pytest.mark.parametrize("duration", [0.1, 0.3, 1.0])
+def test_audible_level_of_a_tone_without_pauses_does_not_depend_on_its_duration(duration):
+    """It is the weighting at its frequency, which is on no grid of 10 Hz."""
+    drive = Tones(frequencies=(2005.0,), duration=duration)
+    steady = Rangefinder(drive=drive, resonance=2005.0, quality_factor=0.0, cycle_rate=1 / duration)
+    expected = 20 * np.log10(a_weighting(np.array(2005.0)))
+    assert audible_level(steady) == pytest.approx(expected, abs=0.01)
+
+
+def test_audible_level_does_not_depend_on_the_rate_of_the_adc():
+    ideal = audible_level(IDEAL)
+    for rate in (2e3, 44.1e3, 200001.7):
+        slow = replace(IDEAL, sampling_rate=rate)
+        assert audible_level(slow) == pytest.approx(ideal, abs=1e-3)
 
 
 def wide_library():
@@ -267,6 +302,8 @@ def test_settings_out_of_range_are_one_sentence_each():
         (lambda: chirp_template(1e6, 45e3, 20e3, 10.0), "duration"),
         (lambda: Processing(window="triangle"), "window"),
         (lambda: Processing(bandwidth=-1.0), "bandwidth"),
+        (lambda: Processing(template_cycles=0.3), "template_cycles"),
+        (lambda: Processing(nearest=2.0, farthest=1.0), "nearest"),
     ]
     for call, name in cases:
         with pytest.raises(ConfigError) as caught:
@@ -304,6 +341,9 @@ def test_process_compresses_what_the_sensors_file_states(tmp_path):
         rows = list(csv.DictReader(file))
     assert [float(row["distance_cm"]) for row in rows] == pytest.approx([90.13] * 3, abs=0.1)
     assert processing_of(sensor).bandwidth == LOUDSPEAKER.drive.bandwidth
+    # A long burst too is blind while it lasts.
+    (tmp_path / "burst.toml").write_text("length_cm = 200\n[drive]\nkind = 'Burst'\ncycles = 40\n")
+    assert processing_of(tmp_path / "burst.toml").pulse_cycles == pytest.approx(40)
     tones = sensor_file(tmp_path / "t.toml", replace(LOUDSPEAKER, drive=Tones()))
     done = run_here("process", tmp_path / "cycles.nc", "--sensor", tones)
     assert done.returncode == 2

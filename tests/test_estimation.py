@@ -2,6 +2,7 @@
 
 import json
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -240,6 +241,17 @@ def test_level_of_a_closure_is_the_same_wherever_and_however_warm_it_is():
     assert distance - [0.3, 0.3, 0.75, 1.2, 1.2] == pytest.approx(np.full(5, 0.04), abs=0.02)
 
 
+def test_features_reach_the_ends_of_the_temperatures_and_not_beyond(recorded):
+    one = recorded.isel(cycle=slice(0, 1))
+    near, end = (
+        estimation.feature_table(one.assign(temperature=("cycle", [warmth])), ECHO)["features"]
+        for warmth in (59.999, 60.0)
+    )
+    assert end.values == pytest.approx(near.values, abs=1e-3)
+    with pytest.raises(ConfigError, match="is outside -20 to 60 degC"):
+        estimation.feature_table(one.assign(temperature=("cycle", [60.001])), ECHO)
+
+
 def test_features_of_pieces_are_those_of_single_cycles(recorded, tables):
     some = recorded.isel(cycle=slice(3, 5))
     alone = estimation.feature_table(some, ECHO)["features"]
@@ -420,8 +432,21 @@ def test_labels_that_teach_nothing_are_refused(tables):
             estimation.train(change, "echo", ECHO, **QUICK["echo"])
 
 
+def test_features_of_another_estimator_or_other_settings_are_refused(tables):
+    paper = FeatureSettings(kind="paper", processing=HOW)
+    other = FeatureSettings(kind="echo", processing=replace(HOW, frequency=40e3))
+    for table, name, how, words in (
+        ("paper", "echo", paper, 'feature_settings.kind = paper does not fit echo; use "echo"'),
+        ("echo", "network", ECHO, 'does not fit network; use "paper"'),
+        ("paper", "boosting", ECHO, "table has 2 features that are not those of feature_settings"),
+        ("echo", "echo", other, "table has 44 features that are not those of feature_settings"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            estimation.train(tables[table], name, how, **QUICK[name])
+
+
 def test_uncertainty_can_be_stated_for_new_sessions(tables):
     model = estimation.train(tables["echo"], "echo", ECHO, by="session", **QUICK["echo"])
     assert model.origin["by"] == "session"
-    with pytest.raises(ConfigError, match="3 folds cannot be made of 1 groups"):
+    with pytest.raises(ConfigError, match="3 folds cannot be made of 1 group of cycles; split"):
         estimation.train(tables["echo"], "echo", ECHO, by="tube", **QUICK["echo"])

@@ -1,15 +1,18 @@
 """The force network's parts against hand calculations and scikit-learn."""
 
+import json
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
 from sklearn.base import clone
+from sklearn.exceptions import NotFittedError
 from sklearn.neural_network import MLPRegressor
 
 from acoustube.base.errors import ConfigError
-from acoustube.estimation import ForceNetwork, errors, folds, network
+from acoustube.estimation import Boosting, EchoEnsemble, ForceNetwork, errors, folds, network
 
 RNG = np.random.default_rng(0)
 ROWS = 103
@@ -188,13 +191,39 @@ def test_large_offsets_lose_nothing():
     assert far - 1e5 == pytest.approx(near, abs=1e-2)
 
 
-def test_estimator_follows_scikit_learns_conventions():
-    model = ForceNetwork(n_folds=4, epochs=2)
+@pytest.mark.parametrize(
+    "model",
+    [ForceNetwork(n_folds=4, epochs=2), EchoEnsemble(n_folds=2, epochs=1, hidden=(4,)),
+     Boosting(n_folds=2, max_iter=3)],
+)  # fmt: skip
+def test_estimator_follows_scikit_learns_conventions(model):
     assert clone(model).get_params() == model.get_params()
-    x, y = forces(ROWS)
+    model, (x, y) = clone(model), forces(ROWS)
+    with pytest.raises(NotFittedError):
+        model.predict(x)
     assert model.fit(x, y) is model
-    assert model.predict(x).shape == (ROWS,)
     assert np.isfinite(model.score(x, y))
+    for n in (ROWS, 0):
+        estimate, deviation = model.predict(x[:n], return_std=True)
+        assert estimate.shape == deviation.shape == model.half_width(x[:n]).shape == (n,)
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [((2,), "each of offset_columns = 2 is out of range; use a whole number from 0 to 1"),
+     (0, "offset_columns = 0 is not a sequence"), ((0, 1), "takes all columns of X")],
+)  # fmt: skip
+def test_offset_columns_that_cannot_be_are_refused(columns, words):
+    x, y = forces(ROWS)
+    y = np.stack([y, y], axis=-1) if columns == (0, 1) else y
+    with pytest.raises(ConfigError, match=words):
+        EchoEnsemble(n_folds=2, epochs=1, offset_columns=columns).fit(x, y)
+
+
+def test_integers_of_numpy_are_stored_as_pythons():
+    model = EchoEnsemble(n_folds=2, epochs=1, hidden=np.array([4]), offset_columns=(np.int8(0),))
+    found = model.fit(*forces(ROWS)).get_params()
+    assert json.dumps([found["hidden"], found["offset_columns"]]) == "[[4], [0]]"
 
 
 @pytest.mark.parametrize(

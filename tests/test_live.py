@@ -173,6 +173,14 @@ def test_any_payload_survives(samples, width):
     assert counts(decoder) == (1, 0, 0)
 
 
+def test_what_is_no_byte_is_not_encoded():
+    (frame,) = Decoder(5.0).feed(encode(np.int64(1200), [7, 8, 9]))
+    assert (frame.pulse_width, frame.samples.tolist()) == (1200, [7, 8, 9])
+    for width, samples in ((0, [256]), (0, [-1]), (0, [0.5]), (65536, [1]), (-1, [1])):
+        with pytest.raises(ConfigError, match=r"^(samples|pulse_width) = "):
+            encode(width, samples)
+
+
 def test_pulse_width_has_its_high_byte_first():
     (frame,) = Decoder(5).feed(b"\x06\x12\x34\x07\x08\x09\x00")
     assert frame.pulse_width == 0x1234
@@ -401,7 +409,7 @@ def test_command_finds_every_cycle_and_ends_when_the_cable_is_cut(board):
     assert "echoes in 41, 1 garbled, 0 dropped, latency" in " ".join(output.split())
     assert "reception began within a frame" in " ".join(output.split())
     told = " ".join(errors.split())
-    assert "was cut off after 41 intact cycles, a.csv holds them; connect the board" in told
+    assert "was lost after 41 intact cycles, a.csv holds them; connect the board" in told
     assert "Traceback" not in errors
     rows = logged("a.csv")
     assert rows == before_cut
@@ -433,7 +441,7 @@ def test_command_finds_every_cycle_and_ends_when_the_cable_is_cut(board):
     finally:
         again.cut()
     assert command.returncode == 130
-    assert "interrupted; 1 cycles" in errors
+    assert "interrupted; 1 cycle at" in errors
     assert "b.csv holds them" in errors
 
 

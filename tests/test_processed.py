@@ -151,6 +151,7 @@ def test_nothing_to_process_is_refused():
         (["empty"], "empty"),
         (["missing.npz"], "missing.npz"),
         (["a.npz", "--calibration", "nobody"], "nobody is neither a file nor the name"),
+        (["a.npz", "--calibration", "."], ". is neither a file nor the name"),
         (["a.npz", "--prominence", "3"], "prominence = 3 is out of range"),
         (["a.npz", "--out", "a.npz"], "nothing is overwritten"),
         (["a.npz", "--figure", "a.xyz"], "figure = a.xyz must end in one of .png"),
@@ -321,7 +322,7 @@ def test_lead_that_cannot_be_is_refused():
     save("late.npz", cycles[:, 35:])
     save("a.npz", cycles)
     for name, start, words in (
-        ("apart.npz", "auto", "% of the cycles, so the send pulse cannot be found; give --pulse"),
+        ("apart.npz", "auto", "% of the cycles, so the send pulse cannot be found; state its time"),
         ("late.npz", "auto", "before the first sample; record earlier"),
         ("a.npz", "30", "pulse-at = 30 is after the last sample; use less than 19.995 ms"),
         ("a.npz", "-1", "pulse-at = -1 is out of range; use 0 to 1e+06 ms"),

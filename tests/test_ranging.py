@@ -492,3 +492,6 @@ def test_given_reflectors_echo_where_they_are():
     _, found = echo([], sensor, reflectors=reflectors)
     _, expected = echo([partial(0.01, 0.5005)], sensor)
     assert np.abs(found - expected).max() < 1e-3 * np.abs(expected).max()
+    response([], sensor, length=0.9995, reflectors=reflectors)
+    with pytest.raises(ValueError, match=r"1000 values, .* beyond length = 0.999 m; .* most 999"):
+        response([], sensor, length=0.999, reflectors=reflectors)

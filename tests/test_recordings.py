@@ -18,6 +18,7 @@ from scipy.io import savemat, wavfile
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign import child
+from acoustube.base.version import __version__
 from acoustube.ranging import record
 from acoustube.recordings import find, read, read_all, write
 from acoustube.recordings.formats import KINDS
@@ -378,6 +379,11 @@ TABLES = {
     "counted samples": ("sample,value\n0,5\n1,6\n2,7", [[5, 6, 7]]),
     "separators at the ends": ("9,2,3,\n1,2,3,\n", [[9, 2, 3], [1, 2, 3]]),
     "words": ("tube,s0,s1\nA,1,2\nB,3,4", [[1, 2], [3, 4]]),
+    "decimal commas after whole numbers": ("time;v\n0;0\n5e-6;0,5\n1e-5;1", [[0, 0.5, 1]]),
+    "words with commas": ("tube;s0;s1\nA, 3,5 mm;1.5;2\nB;3;4", [[1.5, 2], [3, 4]]),
+    "time of day": ("# time: 12:30:05\n# data: raw\nTime (s),v\n0,5\n5e-6,6", [[5, 6]]),
+    "quoted names": ('"time, s","value"\n0,5\n5e-6,6', [[5, 6]]),
+    "quoted names, semicolons": ('"tube; its name";"s0";"s1"\n"A";1;2\n"B";3;4', [[1, 2], [3, 4]]),
     "empty lines": ("\n\n9,2,3\n\n1,2,3\n", [[9, 2, 3], [1, 2, 3]]),
 }
 
@@ -389,6 +395,43 @@ def test_tables_as_people_write_them_are_understood(tmp_path, what):
     data = read(tmp_path / "a.csv", rate=RATE, temperature=20)
     np.testing.assert_array_equal(data["signal"], signal)
     assert not data.attrs["warnings"]
+
+
+def test_words_for_nothing_are_labels_and_gaps_between_numbers_are_gaps(tmp_path):
+    text = "shape,who,force_n,s0,s1\nNone,NA,1.5,1,2\nrod,NA,NA,3,4\nNA,NA,,5,6\n"
+    (tmp_path / "a.csv").write_text(text)
+    data = read(tmp_path / "a.csv", rate=RATE, temperature=20)
+    assert data["shape"].values.tolist() == ["None", "rod", "NA"]
+    assert data["who"].values.tolist() == ["NA"] * 3
+    np.testing.assert_array_equal(data["force"], [1.5, np.nan, np.nan])
+    np.testing.assert_array_equal(data["signal"], [[1, 2], [3, 4], [5, 6]])
+
+
+UNITS = {
+    "force": [("mN", 1e-3), ("N (newton)", 1), ("1", 1), ("kN", "states force in kN; use N or mN")],
+    "depth": [("millimeter", 1e-3), ("", 1), ("inch", "states depth in inch; use m, cm or mm")],
+    "temperature": [("℃", 1), ("degrees Celsius", 1), ("degF", "in degF; use degC or C")],
+}
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".csv"])
+@pytest.mark.parametrize("quantity", UNITS)
+def test_stated_units_are_known_or_refused(tmp_path, quantity, suffix):
+    path = tmp_path / f"a{suffix}"
+    for unit, found in UNITS[quantity]:
+        if suffix == ".csv":
+            rows = "\n".join(map(str, cycles(1)[0]))
+            path.write_text(f"# {quantity}: 20 {unit}\nsignal\n{rows}\n", encoding="utf-8")
+        else:
+            with h5py.File(path, "w") as file:
+                file["signal"], file[quantity] = cycles(1), 20.0
+                file[quantity].attrs["units"] = unit
+        given = {"rate": RATE} | ({} if quantity == "temperature" else {"temperature": 20})
+        if isinstance(found, str):
+            with pytest.raises(ConfigError, match=rf"a\{suffix} states .*{found[-20:]}"):
+                read(path, **given)
+        else:
+            assert read(path, **given)[quantity].values == pytest.approx([20 * found])
 
 
 @pytest.mark.parametrize("head", ["", "signal\n"])
@@ -445,6 +488,40 @@ def test_argument_goes_before_sidecar_before_file(tmp_path):
     assert data["temperature"].values.tolist() == [30, 31, 32]
 
 
+@pytest.mark.parametrize("first", ["depth", "depth_mm"])
+def test_name_with_a_unit_goes_before_the_same_without(tmp_path, first):
+    both = {"depth": [1000, 2000, 3000], "depth_mm": [1.0, 2.0, 3.0]}
+    values = {first: both.pop(first)} | both
+    data = read(saved(tmp_path / "a.npz", cycles(), temperature_c=20.0, **values))
+    np.testing.assert_allclose(data["depth"], [1e-3, 2e-3, 3e-3])
+    np.testing.assert_array_equal(data["temperature"], [20, 20, 20])
+    assert data.attrs["warnings"] == ("depth is stated twice: the one of unknown unit is left out.")
+    time = np.arange(LENGTH) / RATE
+    path = saved(tmp_path / "b.npz", cycles(LENGTH), time_ms=1e3 * time, time=np.arange(LENGTH))
+    assert "time is stated twice" in read(path).attrs["warnings"]
+
+
+def test_argument_or_label_keeps_what_a_file_of_our_own_states(tmp_path):
+    """But not the error of its thermometer, where the temperature is given."""
+    simulated = record([], n_cycles=2)
+    write(simulated.assign_attrs(acoustube_version="0.0.1"), tmp_path / "free.nc")
+    assert read(tmp_path / "free.nc").attrs["acoustube_version"] == __version__
+    warm = read(tmp_path / "free.nc", temperature=30.0)
+    assert warm["temperature"].values.tolist() == [30, 30]
+    sidecar(tmp_path / "free.nc", labels={"depth_mm": 4})
+    labelled = read(tmp_path / "free.nc")
+    np.testing.assert_array_equal(labelled["temperature"], simulated["temperature"])
+    for data, bias in ((warm, 0.0), (labelled, 0.5)):
+        for name, value in simulated.attrs.items():
+            if name != "rangefinder":
+                np.testing.assert_array_equal(data.attrs[name], value)
+        stated = json.loads(data.attrs["rangefinder"])
+        assert stated == json.loads(simulated.attrs["rangefinder"]) | {"temperature_bias": bias}
+        assert not {"press_positions", "tube_length"} & set(data.data_vars)
+        np.testing.assert_array_equal(data["signal"], simulated["signal"])
+    np.testing.assert_allclose(labelled["depth"], 4e-3)
+
+
 def test_channel_is_chosen_by_argument_or_sidecar(tmp_path):
     path, signal = tmp_path / "a.wav", cycles(2)
     wavfile.write(path, int(RATE), signal.T.copy())
@@ -499,7 +576,7 @@ WRONG = {
     "one sample": (
         np.ones((5, 1)),
         {},
-        "a.npz holds 5 cycles of 1 samples; record at least one of two",
+        "a.npz holds 5 cycles of 1 samples; record at least one cycle of two",
     ),
     "no sample": (np.ones((0, 5)), {}, "a.npz holds 0 cycles of 5 samples"),
     "four axes": (np.ones((1, 1, 2, 2)), {}, "shape (1, 1, 2, 2); give real numbers of shape"),
@@ -607,12 +684,13 @@ def test_samples_that_fit_no_axis_and_unknown_signals_are_refused(tmp_path):
     ("text", "message"),
     [
         ("{", "is not valid JSON: Expecting property name"),
-        ("[]", "it is not a table of names and values"),
+        ("[]", "is not a table of names and values in JSON"),
         ('{"sampling_rate": 1}', "sampling_rate is not known; use sampling_rate_hz"),
         ('{"labels": [1]}', "labels must be a table of names and their values"),
         ('{"labels": {"force": [1, [2, 3]]}}', "force is a list of unequal lists"),
         ('{"labels": {"depth_mm": "deep"}}', "depth_mm = 'deep' is not a number"),
         ('{"labels": {"press": [1, 2]}}', "press has shape (2,) for 3 cycles"),
+        ('{"labels": {"signal": "good"}}', "state signal, which is not a label; rename it"),
         ('{"sampling_rate_hz": {}}', "is not a number"),
         ('{"temperature_c": null}', "temperature = nan degC"),
     ],
@@ -686,9 +764,7 @@ def test_words_and_wrong_headers_in_tables_are_refused(tmp_path):
 def test_flac_without_its_library_says_what_to_install(tmp_path, monkeypatch):
     without(monkeypatch, "soundfile", tmp_path)
     (tmp_path / "a.flac").write_bytes(b"fLaC")
-    with pytest.raises(
-        ConfigError, match=r"install acoustube\[audio\], or convert the file to WAV"
-    ):
+    with pytest.raises(ConfigError, match=r"pip install 'acoustube\[audio\]', or convert the file"):
         read(tmp_path / "a.flac")
 
 
@@ -734,6 +810,9 @@ def test_written_files_are_checked_like_any_other(tmp_path):
     write(data.drop_vars("time"), path)
     np.testing.assert_array_equal(read(path)["time"], data["time"])
     assert read(path.rename(tmp_path / "c.nc"), temperature=30)["temperature"][0] == 30
+    write(data.isel(cycle=slice(0, 0)), path)
+    with pytest.raises(ConfigError, match=r"b\.nc holds 0 cycles of 400 samples; record at least"):
+        read(path)
 
 
 def test_reading_needs_no_solver_and_no_drawing():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from children import without
+from refusals import refused
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
@@ -50,6 +51,10 @@ def test_intervals_hold_the_cone_in_95_of_100_trials(tilted):
     # Limits of the binomial distribution of 200 trials at 0.95, at the level of 0.1 %.
     fewest, most = binom.ppf([5e-4, 1 - 5e-4], trials, 0.95)
     assert np.all((fewest <= held) & (held <= most))
+
+
+def test_interval_in_per_cent_is_refused():
+    refused(lambda: fit_arm(*columns()).lines[0].interval(95), setting="confidence", value=95)
 
 
 def test_outliers_and_gaps_are_left_out_and_named():
@@ -126,6 +131,8 @@ def short_by_gaps():
         (lambda: tuple(0 * p for p in columns()), "fitted", ["0 m long"]),
         (lambda: (columns()[0][:, :2], columns()[1]), "fitted", ["shape (8, 2)"]),
         (columns, "y", ["axis = 'y'"]),
+        (lambda: tuple(10 * p * [0.1, 0.1, 1] for p in columns(tilted=False)), "fitted",
+         ["m along the axis", "0.03 to 1.5 m fit an arm"]),
     ],
 )  # fmt: skip
 def test_markers_that_do_not_define_an_arm_are_refused(points, axis, words):
@@ -170,6 +177,12 @@ def test_tables_without_two_columns_of_markers_are_refused(tmp_path, rows, heade
         assert word in str(refusal.value)
 
 
+def test_one_column_named_twice_is_refused(tmp_path):
+    path = table(tmp_path / "m.csv", ["A,1,2,3", "B,1,2,3"], "column,x,y,z")
+    with pytest.raises(ConfigError, match="columns = A, A is one column twice; name two of A, B"):
+        read_markers(path, columns=["A", "A"])
+
+
 def test_c3d_is_read_as_the_table(tmp_path):
     ezc3d = pytest.importorskip("ezc3d")
     first, second = columns()
@@ -186,6 +199,11 @@ def test_c3d_is_read_as_the_table(tmp_path):
     assert markers.unit_stated
     assert markers.first == pytest.approx(first, abs=1e-6)
     assert markers.second == pytest.approx(second, abs=1e-6)
+    file["parameters"]["POINT"]["UNITS"]["value"] = ["meters"]
+    file.write(str(tmp_path / "n.c3d"))
+    with pytest.raises(ConfigError, match=r"n\.c3d is in the unit meters; give unit"):
+        read_markers(tmp_path / "n.c3d")
+    assert read_markers(tmp_path / "n.c3d", unit="mm").first == pytest.approx(first, abs=1e-6)
 
 
 def test_c3d_without_its_reader_says_what_to_install(tmp_path, monkeypatch):

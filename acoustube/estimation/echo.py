@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, RegressorMixin
 
+from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.estimation import network, uncertainty
 from acoustube.estimation.inputs import check_inputs, offsets
@@ -98,4 +99,10 @@ class EchoEnsemble(uncertainty.Conformal, RegressorMixin, BaseEstimator):
 
     def _inputs(self, x: Array) -> Array:
         """Return the inputs of the networks: the columns of X that are no offset columns."""
-        return np.delete(x, sorted({c for c in self.offset_columns or () if c is not None}), axis=1)
+        apart = sorted({c for c in self.offset_columns or () if c is not None})
+        if len(apart) == x.shape[1]:
+            raise ConfigError(
+                "takes all columns of X and leaves no inputs", setting="offset_columns",
+                value=self.offset_columns, advice="give X other columns too",
+            )  # fmt: skip
+        return np.delete(x, apart, axis=1)

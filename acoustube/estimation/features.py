@@ -26,7 +26,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.signal.windows import tukey
 
-from acoustube.air import air_at
+from acoustube.air import TEMPERATURES, air_at
 from acoustube.base.checks import CELSIUS, Reals, check_argument, check_fields, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Choice, Number
@@ -326,6 +326,7 @@ def _attenuation(frequency: Array, temperatures: Array, radii: Array) -> Array:
     attenuation = np.empty((len(temperatures), len(frequency)))
     place = np.asarray(temperatures) / TEMPERATURE_STEP
     below = np.floor(place).astype(int)
+    below -= np.asarray(temperatures) == TEMPERATURES[1]  # above which nothing is known
     fraction = (place - below)[:, None]
     for radius in np.unique(radii):
         of_bore = radii == radius

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from acoustube.base.checks import SEED, Reals, Several, check_argument
+from acoustube.base.checks import SEED, Either, Optional, Reals, Several, check_argument
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
@@ -25,6 +25,7 @@ SETTINGS = {
     "max_iter": Number(1, 1e5, "trees", whole=True),
     "max_leaf_nodes": Number(2, 1e5, "leaves", whole=True),
     "hidden": Several(Number(1, 1e5, "units", whole=True)),
+    "offset_columns": Optional(Several(Optional(Number(0, 1e6, whole=True)))),
     "seed": SEED,
 }
 """Rules of the estimators' parameters; by scikit-learn's convention ``fit`` checks them."""
@@ -34,7 +35,10 @@ def check_settings(estimator: Any) -> None:
     """Raise ConfigError unless an estimator's parameters are in range; 3.0 becomes 3 in place."""
     for name, value in estimator.get_params().items():
         if name in SETTINGS:
-            setattr(estimator, name, check_argument(name, value, SETTINGS[name]))
+            found = check_argument(name, value, SETTINGS[name])
+            if isinstance(SETTINGS[name], Several | Either) and found is not None:
+                found = tuple(None if one is None else int(one) for one in found)
+            setattr(estimator, name, found)
 
 
 def groups_of(groups: Any, rows: Array) -> Any:
@@ -130,11 +134,14 @@ def offsets(x: Array, columns: tuple[int | None, ...] | None, n_targets: int) ->
     Raises
     ------
     ConfigError
-        If the number of entries is not n_targets.
+        If the number of entries is not n_targets, or an entry is not a column.
     """
     chosen = (None,) * n_targets if columns is None else tuple(columns)
     if len(chosen) != n_targets:
         raise ConfigError(
             f"offset_columns has {len(chosen)} entries for {n_targets} targets; give one for each"
         )
+    for column in chosen:
+        if column is not None:
+            check_argument("each of offset_columns", column, Number(0, x.shape[1] - 1, whole=True))
     return np.stack([np.zeros(len(x)) if c is None else x[:, c] for c in chosen], axis=-1)

@@ -15,7 +15,7 @@ from acoustube.base.rules import Choice
 from acoustube.estimation import splits
 from acoustube.estimation.boosting import Boosting
 from acoustube.estimation.echo import EchoEnsemble
-from acoustube.estimation.features import FeatureSettings
+from acoustube.estimation.features import FeatureSettings, names
 from acoustube.estimation.force_network import ForceNetwork
 from acoustube.estimation.inputs import MIN_ROWS, is_constant
 
@@ -138,10 +138,11 @@ def train(
     Raises
     ------
     ConfigError
-        If labels are missing, the cycles are too few, a label is constant, or a parameter is out of
-        range.
+        If labels are missing, the cycles are too few, a label is constant, a parameter is out of
+        range, or the features are not those of `feature_settings`, or not those of the estimator.
     """
     _check_table(table)
+    _check_features(name, table, feature_settings)
     targets = targets_of(name, table)
     used = usable(table, targets)
     if used.sum() < MIN_ROWS:
@@ -178,6 +179,21 @@ def _check_table(table: xr.Dataset) -> None:
     """Raise unless a dataset is a table of features."""
     if "features" not in table or "sampling_rate" not in table.attrs:
         raise ConfigError("table has no features, or no sampling_rate; give a feature_table")
+
+
+def _check_features(name: str, table: xr.Dataset, settings: FeatureSettings) -> None:
+    """Raise ConfigError unless a table has the features that an estimator takes, and settings."""
+    kind = kind_of_features(name)
+    if settings.kind != kind:
+        raise ConfigError(
+            f"does not fit {name}", setting="feature_settings.kind", value=settings.kind,
+            allowed=(kind,), advice=f'use "{kind}"',
+        )  # fmt: skip
+    if table["feature"].values.tolist() != list(names(settings)):
+        raise ConfigError(
+            f"table has {table.sizes['feature']} features that are not those of feature_settings; "
+            "give the settings with which they were computed"
+        )
 
 
 @checked(model=Model, table=xr.Dataset)

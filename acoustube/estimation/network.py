@@ -301,6 +301,8 @@ def predict(fitted: FittedNetworks, x: NDArray[Any]) -> NDArray[np.float64]:
         full = np.resize(part, (1 << (len(part) - 1).bit_length(), x.shape[1]))
         inputs = (full[None] - scales.x_mean[:, None]) / scales.x_deviation[:, None]
         parts.append(_all_outputs(fitted.layers, inputs.astype(np.float32))[:, : len(part)])
+    if not parts:
+        return np.empty((len(scales.x_mean), 0, fitted.layers[-1][1].shape[-1]))
     return np.concatenate(parts, axis=1, dtype=float)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from acoustube.base.checks import SEED, Reals, checked
 from acoustube.base.errors import ConfigError
+from acoustube.base.report import counted
 from acoustube.base.rules import Number
 
 Index = NDArray[np.intp]
@@ -89,10 +90,11 @@ def folds(groups: ArrayLike, count: int, seed: int = 0, *, name: str = "count") 
     """
     _, member, sizes = np.unique(groups, return_inverse=True, return_counts=True)
     if not 2 <= count <= len(sizes):
+        most = f"use 2 to {len(sizes)}" if len(sizes) > 2 else "use 2"
         raise ConfigError(
-            f"cannot be made of {len(sizes)} groups of cycles", setting=name, value=count,
-            unit="folds", allowed=(2, len(sizes)),
-            advice=f"use 2 to {len(sizes)} folds, or record more",
+            f"cannot be made of {counted(len(sizes), 'group')} of cycles", setting=name,
+            value=count, unit="folds", allowed=(2, len(sizes)),
+            advice=f"{most if len(sizes) > 1 else 'split by cycle'}, or record more",
         )  # fmt: skip
     shuffled = np.random.default_rng(seed).permutation(len(sizes))
     fold = np.empty(len(sizes), np.intp)

@@ -17,6 +17,7 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from sklearn.utils.validation import check_is_fitted
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
@@ -127,6 +128,7 @@ class Conformal:
     n_folds: int
     seed: int
     quantiles_: Array
+    _flat = False  # whether the training targets had one axis, as then the estimates have
 
     def fit(
         self,
@@ -158,6 +160,7 @@ class Conformal:
         """
         check_settings(self)
         x, targets = check_rows(X, y)
+        self._flat = np.ndim(y) == 1
         self.n_features_in_, self.n_targets_ = x.shape[1], targets.shape[1]
         fold = folds(groups_of(groups, x), self.n_folds, self.seed, name="n_folds")
         self._fit(x, targets, fold, progress)
@@ -174,6 +177,10 @@ class Conformal:
         """Return estimates and their scales, both (row,) or (row, target)."""
         raise NotImplementedError
 
+    def _as_targets(self, values: Array) -> Array:
+        """Return values (row, target), or (row,) if the training targets had one axis."""
+        return np.asarray(values[:, 0] if self._flat and values.ndim == 2 else values)
+
     def predict(self, X: ArrayLike, return_std: bool = False) -> Any:
         """Return estimates.
 
@@ -186,18 +193,22 @@ class Conformal:
         Returns
         -------
         estimate, deviation : array of shape (row,) or (row, target)
-            In the unit of the training targets. The deviation is the half width of an interval of
-            68 % coverage, for rows exchangeable with the held-out ones.
+            In the shape and the unit of the training targets; (row,) for the force network. The
+            deviation is the half width of an interval of 68 % coverage, for rows exchangeable with
+            the held-out ones.
 
         Raises
         ------
         ConfigError
             If X is not finite or has another number of columns than the training rows.
+        sklearn.exceptions.NotFittedError
+            If it is not fitted.
         """
+        check_is_fitted(self, "quantiles_")
         estimate, scale = self._estimated(X)
         if not return_std:
-            return estimate
-        return estimate, scale * factor(self.quantiles_)
+            return self._as_targets(estimate)
+        return self._as_targets(estimate), self._as_targets(scale * factor(self.quantiles_))
 
     def half_width(self, X: ArrayLike, coverage: float = 0.9) -> Array:
         """Return the half widths of intervals around the estimates that have a coverage.
@@ -217,5 +228,8 @@ class Conformal:
         ------
         ConfigError
             As :meth:`predict`, or if the coverage is outside :data:`LEVELS`.
+        sklearn.exceptions.NotFittedError
+            If it is not fitted.
         """
-        return np.asarray(self._estimated(X)[1] * factor(self.quantiles_, coverage))
+        check_is_fitted(self, "quantiles_")
+        return self._as_targets(self._estimated(X)[1] * factor(self.quantiles_, coverage))

@@ -27,8 +27,10 @@ from acoustube.base.checks import (
     Several,
     checked,
 )
+from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
+from acoustube.base.units import MM
 from acoustube.ranging.drives import Burst, Chirp, Tones
 from acoustube.ranging.rangefinder import Drive, Rangefinder
 from acoustube.waves.interpolation import interpolate_scattering, plane_wavenumbers
@@ -127,7 +129,8 @@ def clutter(
     Raises
     ------
     ValueError
-        If a frequency lies outside the band of a press, or an argument is out of range.
+        If a frequency lies outside the band of a press, an argument is out of range, or a reflector
+        is beyond the tube's end.
 
     Notes
     -----
@@ -145,6 +148,12 @@ def clutter(
             0.0, np.sqrt(density * spacing), int(length / spacing)
         )
     n = len(reflectors)
+    if (n - 1) * spacing >= length:
+        raise ConfigError(
+            f"has {n} values, one for each {MM * spacing:g} mm, and so reaches beyond length = "
+            f"{length:g} m", setting="reflectors", value=f"[{reflectors[0]:g}, ...]",
+            advice=f"give at most {int(length / spacing)}",
+        )  # fmt: skip
     straight = axial_wavenumber(0, 0, frequency, radius, air)
     bends = [one for one in presses if one.scattering.inside is not None]
     pressed = [one for one in presses if one.scattering.inside is None]

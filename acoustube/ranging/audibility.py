@@ -7,13 +7,14 @@ References
 
 from __future__ import annotations
 
-from math import log10
+from math import ceil, log10
 
 import numpy as np
 
 from acoustube.base.checks import FREQUENCIES, checked
 from acoustube.base.types import Array
 from acoustube.ranging.analogue import sent_spectrum
+from acoustube.ranging.drives import Burst, Chirp, Tones
 from acoustube.ranging.rangefinder import Rangefinder
 
 POLES = 20.598997, 107.65265, 737.86223, 12194.217
@@ -21,7 +22,11 @@ POLES = 20.598997, 107.65265, 737.86223, 12194.217
 HEARD = 20e3
 """Highest audible frequency in Hz; sound above it is not counted."""
 STEP = 10.0
-"""Frequency step in Hz of the integral over the drive's spectrum."""
+"""Largest frequency step in Hz of the integral over the drive's spectrum."""
+STEPS_PER_LINE = 4
+"""Least number of steps in the reciprocal of the sound's duration, the width of its lines."""
+BLOCK = 2000
+"""Number of frequencies at a time."""
 
 
 @checked(frequency=FREQUENCIES)
@@ -55,12 +60,21 @@ def audible_level(rangefinder: Rangefinder) -> float:
     Notes
     -----
     By Parseval's theorem the mean square of a pulse in each of ``cycle_rate`` cycles a second is
-    2 ``cycle_rate`` times the integral of ``|E H|^2`` over frequency; that of the tone is 1/2.
+    2 ``cycle_rate`` times the integral of ``|E H|^2`` over frequency; that of the tone is 1/2. The
+    sum of frequency steps is that integral if they are less than half the reciprocal of the sound's
+    duration, which includes Q / f0 of the resonance's ringing.
     """
     r = rangefinder
-    f = np.arange(STEP, HEARD + STEP / 2, STEP)
-    n = round(1 / STEP * r.sampling_rate)
-    sent = sent_spectrum(r, f.astype(complex), r.sampling_rate, n, 0.0)
-    sent = sent * r.resonator(f.astype(complex))
-    heard = float(np.sum((np.abs(sent) * a_weighting(f)) ** 2)) * STEP
+    # Of a drive that is sampled: enough for its carrier, whatever the ADC's.
+    rate = max(r.sampling_rate, 10 * HEARD, getattr(r.drive, "frequency", 0.0))
+    lasting = r.drive.duration + r.quality_factor / r.resonance
+    n = ceil(rate / min(STEP, 1 / (STEPS_PER_LINE * lasting)))
+    step = rate / n
+    f = np.arange(1, int(HEARD / step) + 1) * step
+    in_blocks = isinstance(r.drive, Burst | Chirp | Tones)  # with a spectrum in closed form
+    heard = 0.0
+    for part in np.array_split(f, len(f) // BLOCK + 1) if in_blocks else [f]:
+        sent = sent_spectrum(r, part.astype(complex), rate, n, 0.0)
+        sent = sent * r.resonator(part.astype(complex))
+        heard += float(np.sum((np.abs(sent) * a_weighting(part)) ** 2)) * step
     return 10 * log10(max(4 * r.cycle_rate * heard, 1e-30))

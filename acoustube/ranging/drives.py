@@ -137,8 +137,9 @@ class Chirp(Section):
         super().__post_init__()
         if self.bandwidth >= 2 * self.frequency:
             raise ConfigError(
-                f"reaches zero about a frequency of {self.frequency:g} Hz", setting="bandwidth",
-                value=self.bandwidth, advice=f"use less than {2 * self.frequency:g} Hz",
+                f"extends below 0 Hz about a frequency of {self.frequency:g} Hz",
+                setting="bandwidth", value=self.bandwidth,
+                advice=f"use less than {2 * self.frequency:g} Hz",
             )  # fmt: skip
 
     @property

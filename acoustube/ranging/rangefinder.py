@@ -147,7 +147,7 @@ class Rangefinder(Section):
     quality_factor: float = setting(14.0, Number(0, 1e3, "", "0 for a flat transducer"))
     low_corner: float = setting(0.0, Number(0, 1e6, "Hz", "of the high-pass; 0 for none"))
     high_corner: float = setting(0.0, Number(0, 1e6, "Hz", "of the low-pass; 0 for none"))
-    send: float = setting(170.0, Number(0, 1e6, "V", "received level of the own drive"))
+    send: float = setting(170.0, Number(0, 1e6, "V", "received level of the direct drive"))
     gain: float = setting(1.25, Number(0, 1e6, "V", "received level of a complete reflection"))
     face_reflection: complex = field(default=0.3, metadata={"rule": FACE})
     far_reflection: float = setting(0.05, Number(-1, 1, "", "reflection of the far end"))

@@ -24,6 +24,9 @@ MIN_CLIPPED_SAMPLES = 3
 MIN_CODE_RANGE = 64
 """Range of codes below which noise reaches the extremes repeatedly without clipping."""
 
+SUSPECT_LENGTHS = {"depth": (0.3, "mm"), "diameter": (0.3, "mm"), "true_distance": (20.0, "cm")}
+"""For each label, the length in m above which another unit is suspected, and that unit."""
+
 BLOCK_SAMPLES = 1 << 22
 """Number of samples checked at a time, so that a memory-mapped file need not fit into memory."""
 
@@ -54,7 +57,9 @@ def _blocks(signal: NDArray[Any]) -> Iterator[tuple[int, NDArray[Any]]]:
 
 
 def check_samples(path: Path, signal: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return each cycle's extremes; raise ConfigError if samples are not finite or all equal.
+    """Return each cycle's extremes; raise ConfigError if samples are unusable.
+
+    They are if there are none, one is not finite, or all are equal.
 
     Parameters
     ----------
@@ -67,6 +72,11 @@ def check_samples(path: Path, signal: NDArray[Any]) -> tuple[NDArray[Any], NDArr
     low, high : array of shape (cycle,)
         Smallest and largest sample of each cycle.
     """
+    if not signal.size:
+        raise ConfigError(
+            f"{path} holds {len(signal)} cycles of {signal.shape[1]} samples; record at least one "
+            "cycle"
+        )
     count, first = 0, (0, 0)
     ends = []
     for start, block in _blocks(signal):
@@ -131,6 +141,16 @@ def clipped_cycles(
         "clipped echoes do."
     )
     return [text] if count else []
+
+
+def suspect_lengths(labels: dict[str, NDArray[Any]]) -> list[str]:
+    """Return warnings of labels, given by name, with implausibly large lengths in m."""
+    return [
+        f"{name} reaches {np.nanmax(labels[name]):g} m; if that is in {unit}, call it "
+        f"{name}_{unit}."
+        for name, (longest, unit) in SUSPECT_LENGTHS.items()
+        if name in labels and np.any(labels[name] > longest)
+    ]
 
 
 STATED = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign import child
 from acoustube.base.foreign.limits import check_file, reading
-from acoustube.base.foreign.results import open_result
+from acoustube.base.foreign.results import check_result, open_result
 from acoustube.base.netcdf import variable
 from acoustube.base.rules import Number
 from acoustube.base.sampling import sampling_rate
@@ -25,8 +24,8 @@ from acoustube.recordings.checks import (
     check_temperature,
     clipped_cycles,
     silent_cycles,
+    suspect_lengths,
 )
-from acoustube.recordings.tables import meaning
 
 Named = dict[str, Any]
 
@@ -38,10 +37,11 @@ MAX_LEAD_TIME = 0.1
 RATE_TOLERANCE = 1e-3
 """Relative tolerance between a rate and the time axis: the accuracy of times with four digits."""
 
+ADVICE = "copy or export it again"
+"""What to do about a damaged netCDF file."""
+
 SUSPECT_CYCLE_LENGTH = 0.03
 """Duration in s above which one cycle may be several: in it sound travels 5 m and back."""
-SUSPECT_LENGTHS = {"depth": (0.3, "mm"), "diameter": (0.3, "mm"), "true_distance": (20.0, "cm")}
-"""For each label, the length in m above which another unit is suspected, and that unit."""
 
 LABELS = {
     "true_distance": ("m", "true distance"),
@@ -70,16 +70,10 @@ def read_own_netcdf(path: Path) -> xr.Dataset | None:
     ConfigError
         If its values cannot be used.
     """
-    advice = "copy or export it again"
-    names, attributes = _names(path, advice)
-    if "configuration" in names | attributes:
-        raise ConfigError(
-            f"{path} is a result of acoustube simulate, indent or sweep and not a recording; "
-            "acoustube dataset makes recordings of a sweep"
-        )
-    if "acoustube_version" not in attributes or not {"signal", "temperature"} <= names:
+    names = _own_names(path)
+    if names is None or not {"signal", "temperature"} <= names:
         return None
-    data = open_result(path, advice)
+    data = open_result(path, ADVICE)
     shapes = {"signal": ("cycle", "time"), "temperature": ("cycle",)}
     if any(name not in data or data[name].dims != dims for name, dims in shapes.items()):
         return None
@@ -96,15 +90,39 @@ def read_own_netcdf(path: Path) -> xr.Dataset | None:
     return data.assign_attrs(data.attrs | {"sampling_rate": rate})
 
 
-def _names(path: Path, advice: str) -> tuple[set[str], set[str]]:
-    """Return the names of the variables and of the attributes of a netCDF-4 file."""
+def own_attributes(path: Path) -> Named:
+    """Return the attributes of a netCDF file that acoustube wrote; none of a file of another kind.
+
+    Raise ConfigError if the file is damaged, or a result and not a recording.
+    """
+    if _own_names(path) is None:
+        return {}
+    check_result(path, ADVICE)
+    with (
+        reading(path, "cannot be read as netCDF", ADVICE),
+        xr.open_dataset(path, engine="h5netcdf") as data,
+    ):
+        return {str(name): value for name, value in data.attrs.items()}
+
+
+def _own_names(path: Path) -> set[str] | None:
+    """Return the names of the variables of a netCDF-4 file; None if acoustube did not write it.
+
+    Raise ConfigError if it is a result and not a recording.
+    """
     check_file(path, "recording")
-    with reading(path, "cannot be read as netCDF", advice):
+    with reading(path, "cannot be read as netCDF", ADVICE):
         entries = child.read("names", path, "recording")
     found: tuple[set[str], set[str]] = set(), set()
     for label, _ in entries:
         found["attribute" in label].add(label["name"])
-    return found
+    names, attributes = found
+    if "configuration" in names | attributes:
+        raise ConfigError(
+            f"{path} is a result of acoustube simulate, indent or sweep and not a recording; "
+            "acoustube dataset makes recordings of a sweep"
+        )
+    return names if "acoustube_version" in attributes else None
 
 
 def assemble(
@@ -156,9 +174,12 @@ def assemble(
     temperature = _number(path, "temperature", each("temperature", known["temperature"]))
     check_temperature(path, temperature)
     known_labels = {q: _number(path, q, each(q, known[q])) for q in LABELS if q in known}
-    notes += _too_long(known_labels)
+    notes += suspect_lengths(known_labels)
     free = _of_length(others, n, notes)
     free |= {name: _words(path, name, each(name, v)) for name, v in labels.items()}
+    for name in ("signal", "temperature", "time", "cycle", *known_labels):
+        if free.pop(name, None) is not None:
+            notes.append(f"{name} is stated twice: the one of unknown unit is left out.")
     variables = {
         "signal": variable("cycle time", signal, "1", "recorded signal, in the recorder's unit"),
         "temperature": variable("cycle", temperature, "degC", "temperature of the air"),
@@ -175,34 +196,6 @@ def assemble(
     }
     time = _time(length, rate, _start(known, length))
     return xr.Dataset(variables, {"cycle": cycle, "time": time}, attributes)
-
-
-def separate_known(contents: Mapping[str, Any]) -> tuple[Named, Named]:
-    """Return known quantities in SI units and degC, and the others under their own names."""
-    known: Named = {}
-    others: Named = {}
-    contents = {name.replace("/", "_"): v for name, v in contents.items() if name != "cycle"}
-    # The names of this package, with or without a unit, take precedence over their synonyms.
-    for name, value in sorted(contents.items(), key=lambda item: _is_synonym(item[0])):
-        quantity, scale = meaning(name)
-        if not quantity or quantity in known or (quantity == "signal" and np.ndim(value) == 0):
-            others[name] = value
-        else:
-            known[quantity] = value if scale == 1 else _scaled(name, value, scale)
-    return known, others
-
-
-def _is_synonym(name: str) -> bool:
-    """Return False if a name begins with this package's name for its quantity, else True."""
-    quantity = meaning(name)[0]
-    return not quantity or not name.startswith(quantity)
-
-
-def _scaled(name: str, value: Any, scale: float) -> NDArray[np.float64]:
-    try:
-        return np.asarray(value, float) * scale
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"{name} = {value!r} is not a number; correct it") from error
 
 
 def _signal(path: Path, known: Named, others: Named) -> NDArray[Any]:
@@ -266,7 +259,7 @@ def _cut(path: Path, record: NDArray[Any], known: Named, notes: list[str]) -> ND
     n, count = record.shape[-1], len(record) if record.ndim == 2 else 1
     if n < 2 or not count:
         raise ConfigError(
-            f"{path} holds {count} cycles of {n} samples; record at least one of two samples"
+            f"{path} holds {count} cycles of {n} samples; record at least one cycle of two samples"
         )
     if record.ndim == 2:
         return record
@@ -373,16 +366,6 @@ def _of_length(others: Named, n: int, notes: list[str]) -> Named:
         elif values.size > 1:
             notes.append(f"{name} of shape {values.shape} is not one value per cycle: left out.")
     return found
-
-
-def _too_long(labels: Named) -> list[str]:
-    """Return warnings of labels with implausibly large lengths in m."""
-    return [
-        f"{name} reaches {np.nanmax(labels[name]):g} m; if that is in {unit}, call it "
-        f"{name}_{unit}."
-        for name, (longest, unit) in SUSPECT_LENGTHS.items()
-        if name in labels and np.any(labels[name] > longest)
-    ]
 
 
 def _start(known: Named, length: int) -> float:

@@ -17,7 +17,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from acoustube.base.checks import check_argument
+from acoustube.base.checks import Reals, check_argument
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 
@@ -31,8 +31,7 @@ QUEUE_DEPTH = 64
 POLL_INTERVAL = 0.1
 """Time in s after which a waiting thread checks whether the stream has ended."""
 MISSING = (
-    "a board's stream needs the libraries cobs and pyserial; install them with: "
-    "pip install 'acoustube[serial]'"
+    "a board's stream needs the packages cobs and pyserial; run pip install 'acoustube[serial]'"
 )
 
 
@@ -96,10 +95,10 @@ class Decoder:
     """
 
     def __init__(self, frame_bytes: int = FRAME_BYTES):
-        check_argument("frame_bytes", frame_bytes, Number(3, 1e9, "bytes", whole=True))
+        size = int(check_argument("frame_bytes", frame_bytes, Number(3, 1e9, "bytes", whole=True)))
         self._cobs = _cobs()
-        self._frame_bytes = frame_bytes
-        self._longest = frame_bytes + frame_bytes // 254 + 1
+        self._frame_bytes = size
+        self._longest = size + size // 254 + 1
         self._piece = bytearray()
         self._too_long = False
         self._first = True
@@ -168,13 +167,11 @@ def encode(pulse_width: int, samples: ArrayLike) -> bytes:
     Raises
     ------
     ConfigError
-        If the library cobs is missing.
-    OverflowError
-        If the pulse width is not within 0 to 65535.
+        If the library cobs is missing, or a value is not a whole number within its range.
     """
-    payload = (
-        pulse_width.to_bytes(PULSE_WIDTH_BYTES, "big") + np.asarray(samples, np.uint8).tobytes()
-    )
+    width = int(check_argument("pulse_width", pulse_width, Number(0, 65535, "us", whole=True)))
+    check_argument("samples", samples, Reals(0, 255, ndim=1, empty=True, kinds="iu"))
+    payload = width.to_bytes(PULSE_WIDTH_BYTES, "big") + np.asarray(samples, np.uint8).tobytes()
     return bytes(_cobs().encode(payload)) + b"\0"
 
 

@@ -11,7 +11,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.foreign import child
 from acoustube.base.foreign.archives import read_archive
 from acoustube.base.foreign.limits import check_file, check_name, reading
-from acoustube.recordings.tables import Contents, meaning, read_table
+from acoustube.recordings.tables import Contents, meaning, read_table, with_unit
 
 
 def load(path: Path) -> Contents:
@@ -31,8 +31,9 @@ def load(path: Path) -> Contents:
     Raises
     ------
     ConfigError
-        If the file is damaged, of another kind, or exceeds a limit of
-        :mod:`acoustube.base.foreign.limits`, or a package that reads it is missing.
+        If the file is damaged, of another kind, exceeds a limit of
+        :mod:`acoustube.base.foreign.limits` or states an unknown unit, or a package that reads it
+        is missing.
     """
     kind, loader = KINDS[path.suffix.lower()]
     check_file(path, "table" if loader is read_table else "recording")
@@ -69,7 +70,7 @@ def _flac(path: Path) -> Contents:
         found = _from_child(path, "flac")
     except child.MissingPackage as error:
         raise ConfigError(
-            f"{path} needs the package soundfile to be read; install acoustube[audio], or convert "
+            f"{path} needs the package soundfile; run pip install 'acoustube[audio]', or convert "
             "the file to WAV"
         ) from error
     return found | {"signal": found["signal"][np.newaxis]}
@@ -86,14 +87,8 @@ def _from_child(path: Path, kind: str) -> Contents:
             continue
         # MATLAB's first axis is the last in the file, and it has no arrays of one axis.
         array = value.T.squeeze() if label.get("transposed") else value
-        found.setdefault(_with_unit(name, label.get("unit")), array)
+        found.setdefault(with_unit(path, name, label.get("unit")), array)
     return found
-
-
-def _with_unit(name: str, unit: str | None) -> str:
-    """Return a name with its unit, as ``depth_mm``, if that is a known name; else the name."""
-    joined = f"{name}_{unit}"
-    return joined if unit and meaning(joined)[0] else name
 
 
 KINDS: dict[str, tuple[str, Callable[[Path], Contents]]] = {

@@ -77,7 +77,8 @@ def read_markers(
     ------
     ConfigError
         If `unit` is unknown, the file is missing, too large, cannot be read, states another unit
-        or does not have two columns, or the package ezc3d, which reads C3D, is missing.
+        with no `unit` given, or does not have two columns, or the package ezc3d, which reads C3D,
+        is missing.
     """
     path = Path(path)
     if unit is not None and unit not in UNITS:
@@ -89,6 +90,8 @@ def read_markers(
         path, "cannot be read as markers", "it is damaged or of another kind: export it again"
     ):
         rows, own = (_from_c3d if path.suffix.lower() == ".c3d" else _from_table)(path)
+    if unit is None and own is not None and own not in UNITS:
+        raise ConfigError(f"{path} is in the unit {own}; give unit (--unit) as mm, cm or m")
     first, second = names = _column_names(rows, columns, path)
     known = unit or own
     scale = UNITS[known or DEFAULT_UNIT]
@@ -105,10 +108,17 @@ def _column_names(rows: Rows, wanted: Sequence[str] | None, path: Path) -> tuple
     """Return the names of the two columns."""
     names = tuple(wanted) if wanted is not None else tuple(rows)
     found = ", ".join(rows) or "none"
+    if len(names) == 2 and names[0] == names[1]:
+        raise ConfigError(
+            "is one column twice", setting="columns", value=", ".join(names),
+            advice=f"name two of {found}",
+        )  # fmt: skip
     if len(names) != 2 or not set(names) <= set(rows):
         missing = [name for name in names if name not in rows]
         wrong = f"has no column {missing[0]}; it has" if missing else "has columns of markers named"
-        raise ConfigError(f"{path} {wrong} {found}, and two are needed; name the two (columns)")
+        raise ConfigError(
+            f"{path} {wrong} {found}, and two are needed; name them by columns (--columns)"
+        )
     return names[0], names[1]
 
 
@@ -188,8 +198,6 @@ def _from_c3d(path: Path) -> tuple[Rows, str | None]:
             "markers as CSV"
         ) from None
     unit = found["unit"].strip().lower() or None
-    if unit is not None and unit not in UNITS:
-        raise ConfigError(f"{path} is in {unit}; give mm, cm or m (unit)")
     rows: Rows = {}
     for label, places in zip(found["labels"], np.moveaxis(found["points"], 0, -1), strict=True):
         # Vicon puts the subject before the label, as in arm:A1.

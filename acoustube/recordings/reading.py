@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import json
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -17,12 +18,14 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_netcdf_name
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.foreign.limits import reading
+from acoustube.base.foreign.results import settings_in
 from acoustube.base.names import PATH, PATHS
 from acoustube.base.netcdf import write_dataset
 from acoustube.base.version import __version__
-from acoustube.recordings.cycles import LABELS, assemble, read_own_netcdf, separate_known
+from acoustube.recordings.checks import check_statements
+from acoustube.recordings.cycles import LABELS, assemble, own_attributes, read_own_netcdf
 from acoustube.recordings.formats import KINDS, load
-from acoustube.recordings.tables import Note
+from acoustube.recordings.tables import Note, separate_known
 
 _SIDECAR = {
     "sampling_rate_hz": "sampling_rate",
@@ -66,7 +69,8 @@ def read(
         labels (cycle): those of known quantities, and all arrays of one value per cycle;
         coordinates ``cycle`` and ``time`` in s. Attributes: ``sampling_rate`` in Hz, ``source``,
         ``file``, ``warnings`` (by line). A file of :func:`write` is returned as it was written if
-        no other argument is given and there is no sidecar file.
+        no other argument is given and there is no sidecar file; else its attributes are kept. The
+        mean error of the thermometer that it states is zero if the temperature is given.
 
     Raises
     ------
@@ -90,19 +94,47 @@ def read(
     }
     with reading(path, "cannot be read as a recording", "export it again, or correct its sidecar"):
         over = _sidecar(path) | {name: value for name, value in given.items() if value is not None}
-        if path.suffix.lower() == ".nc" and not over and (own := read_own_netcdf(path)) is not None:
-            return own
+        netcdf = path.suffix.lower() == ".nc"
+        if netcdf and not over and (whole := read_own_netcdf(path)) is not None:
+            return whole
+        own = own_attributes(path) if netcdf else {}
         contents = load(path)
         notes = [str(value) for value in contents.values() if isinstance(value, Note)]
-        arrays = {name: one for name, one in contents.items() if not isinstance(one, Note)}
+        arrays = {
+            name: one
+            for name, one in contents.items()
+            if not isinstance(one, Note) and (name not in own or name == "sampling_rate")
+        }
         known, others = separate_known(arrays)
         named, labels = separate_known(over.pop("labels", {}))
-        if wrong := [name for name in named if name not in LABELS]:
+        wrong = [name for name in named if name not in LABELS]
+        if wrong := wrong + [name for name in labels if name == "signal"]:
             raise ConfigError(
                 f"{path}: the labels of its sidecar state {wrong[0]}, which is not a label; rename "
                 "it"
             )
-        return assemble(path, known | named | over, others, labels, notes)
+        found = assemble(path, known | named | over, others, labels, notes)
+        return _with_own(path, found, own, "temperature" in over) if own else found
+
+
+def _with_own(
+    path: Path, data: xr.Dataset, own: dict[str, Any], given_temperature: bool
+) -> xr.Dataset:
+    """Return a recording with the attributes of its file, which acoustube wrote, where they hold.
+
+    The error of the thermometer is not that of a given temperature.
+    """
+    notes = f"{own.get('warnings', '')}\n{data.attrs['warnings']}".split("\n")
+    kept = own | {
+        "sampling_rate": data.attrs["sampling_rate"],
+        "warnings": "\n".join(dict.fromkeys(note for note in notes if note)),
+    }
+    if given_temperature and "rangefinder" in own:
+        stated = settings_in(own["rangefinder"], path) | {"temperature_bias": 0.0}
+        kept["rangefinder"] = json.dumps(stated)
+    data = data.assign_attrs(kept)
+    check_statements(path, data, LABELS)
+    return data
 
 
 def read_all(
@@ -190,8 +222,7 @@ def write(dataset: xr.Dataset, path: str | Path) -> None:
     """
     path = Path(path)
     check_netcdf_name(path)
-    own = {"acoustube_version": __version__} | dataset.attrs
-    write_dataset(dataset.assign_attrs(own), path, overwrite=True)
+    write_dataset(dataset.assign_attrs(acoustube_version=__version__), path, overwrite=True)
 
 
 def _entries(paths: str | Path | Iterable[str | Path]) -> list[Path]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import csv
 import itertools
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from acoustube.base.errors import ConfigError
 from acoustube.base.foreign import limits
 from acoustube.base.sampling import sampling_rate
 
@@ -28,7 +30,7 @@ class Note(str):
 
 
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-_HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6}
+_HERTZ = {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6}
 _QUANTITIES: dict[str, tuple[str, dict[str, float]]] = {
     "signal": (
         "signals recording recordings waveform waveforms samples data adc pressure voltage value",
@@ -36,19 +38,43 @@ _QUANTITIES: dict[str, tuple[str, dict[str, float]]] = {
     ),
     "time": ("times t", {"s": 1.0, "ms": 1e-3, "us": 1e-6}),
     "sampling_rate": ("sample_rate sampling_frequency sample_frequency rate fs", _HERTZ),
-    "temperature": ("temperatures temp air_temperature", dict.fromkeys(("c", "degc"), 1.0)),
+    "temperature": ("temperatures temp air_temperature", dict.fromkeys(("degC", "C"), 1.0)),
     "samples_per_cycle": ("", {}),
     "true_distance": ("distance", _METRES),
     "depth": ("indentation_depth", _METRES),
-    "force": ("contact_force", {"n": 1.0, "mn": 1e-3}),
+    "force": ("contact_force", {"N": 1.0, "mN": 1e-3}),
     "diameter": ("indenter_diameter", _METRES),
 }
+_OTHER_WORDS = {
+    "m": "meter meters metre metres",
+    "cm": "centimeter centimeters centimetre centimetres",
+    "mm": "millimeter millimeters millimetre millimetres",
+    "s": "sec second seconds",
+    "ms": "msec millisecond milliseconds",
+    "us": "usec microsecond microseconds",
+    "Hz": "hertz 1_s s_1 sps s_s sa_s samples_s samples_per_second",
+    "kHz": "kilohertz ksps ks_s ksa_s",
+    "MHz": "megahertz msps ms_s msa_s",
+    "degC": "celsius deg_c degree_c degrees_c degree_celsius degrees_celsius",
+    "N": "newton newtons",
+    "mN": "millinewton millinewtons",
+}
+"""Other words for a unit, in lower case with underscores, as :func:`plain` returns them."""
+_NO_UNIT = {"", "1", "unknown", "none"}
+"""Units, in lower case, that state nothing: the quantity is then in SI units or degC."""
 _MEANINGS = {
-    form + unit: (quantity, scale)
+    form + end: (quantity, scale)
     for quantity, (others, units) in _QUANTITIES.items()
     for name in (quantity, *others.split())
     for form in (name, name.replace("_", ""))
-    for unit, scale in [("", 1.0), *((f"_{unit}", scale) for unit, scale in units.items())]
+    for end, scale in [
+        ("", 1.0),
+        *(
+            (f"_{word}", scale)
+            for unit, scale in units.items()
+            for word in (unit.lower(), *_OTHER_WORDS.get(unit, "").split())
+        ),
+    ]
 }
 _COUNTING_COLUMNS = {"", "index", "cycle", "sample", "n", "i"}
 """Names of index columns, which contain row numbers and no data."""
@@ -56,7 +82,8 @@ _COUNTING_COLUMNS = {"", "index", "cycle", "sample", "n", "i"}
 
 def plain(name: str) -> str:
     """Return a name in lower case with underscores: ``Depth (mm)`` becomes ``depth_mm``."""
-    return re.sub(r"[^a-z0-9]+", "_", name.casefold().replace("μ", "u")).strip("_")
+    letters = name.casefold().replace("μ", "u").replace("℃", "c")
+    return re.sub(r"[^a-z0-9]+", "_", letters).strip("_")
 
 
 def meaning(name: str) -> tuple[str, float]:
@@ -75,6 +102,77 @@ def meaning(name: str) -> tuple[str, float]:
     return _MEANINGS.get(plain(name), ("", 1.0))
 
 
+def with_unit(path: Path, name: str, unit: str | None) -> str:
+    """Return the name of a value with the unit that its file states for it.
+
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    name : str
+        Name of the value in the file.
+    unit : str or None
+        Such as ``mm``; None if the file states none. Of several words that are no unit together,
+        the first is the unit.
+
+    Returns
+    -------
+    str
+        Such as ``depth_mm``; `name` if it is not that of a quantity with units, if it already
+        contains a unit, or if `unit` states nothing.
+
+    Raises
+    ------
+    ConfigError
+        If the unit is not one of those of the quantity.
+    """
+    words = (unit or "").split()
+    if not _lacks_unit(name) or not words or words[0].lower() in _NO_UNIT:
+        return name
+    for stated in (" ".join(words), words[0]):
+        if plain(stated) and meaning(f"{name}_{stated}")[0]:
+            return f"{name}_{stated}"
+    *others, last = _QUANTITIES[meaning(name)[0]][1]
+    raise ConfigError(
+        f"{path} states {name} in {' '.join(words)[:40]}; use {', '.join(others)} or {last}"
+    )
+
+
+def _lacks_unit(name: str) -> bool:
+    """Return whether a name is that of a quantity with units, and contains none of them."""
+    quantity = meaning(name)[0]
+    units = _QUANTITIES[quantity][1] if quantity else {}
+    return any(meaning(f"{name}_{unit}")[0] for unit in units)  # depth_mm_mm has no meaning
+
+
+def separate_known(contents: Mapping[str, Any]) -> tuple[Contents, Contents]:
+    """Return known quantities in SI units and degC, and the others under their own names."""
+    known: Contents = {}
+    others: Contents = {}
+    contents = {name.replace("/", "_"): v for name, v in contents.items() if name != "cycle"}
+    # The names of this package take precedence over their synonyms, and stated units over none.
+    for name, value in sorted(contents.items(), key=lambda one: _order(one[0])):
+        quantity, scale = meaning(name)
+        if not quantity or quantity in known or (quantity == "signal" and np.ndim(value) == 0):
+            others[name] = value
+        else:
+            known[quantity] = value if scale == 1 else _scaled(name, value, scale)
+    return known, others
+
+
+def _order(name: str) -> tuple[bool, bool]:
+    """Return whether a name is not this package's for its quantity, and whether it lacks a unit."""
+    quantity = meaning(name)[0]
+    return not quantity or not name.startswith(quantity), _lacks_unit(name)
+
+
+def _scaled(name: str, value: Any, scale: float) -> NDArray[np.float64]:
+    try:
+        return np.asarray(value, float) * scale
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{name} = {value!r} is not a number; correct it") from error
+
+
 def read_table(path: Path) -> Contents:
     """Read a text table of cycles.
 
@@ -83,7 +181,7 @@ def read_table(path: Path) -> Contents:
     path : Path
         Columns separated by tabs, semicolons or commas; with semicolons or tabs, the decimal sign
         may be a comma. The first row may name the columns; lines before it that begin with ``#``
-        may hold ``key: value``.
+        may hold ``key: value`` or ``key: value unit``.
 
     Returns
     -------
@@ -94,8 +192,8 @@ def read_table(path: Path) -> Contents:
     Raises
     ------
     ValueError
-        If the table is empty, has too many columns or not one for each name, or a sample is not a
-        number.
+        If the table is empty, has too many columns or not one for each name, a sample is not a
+        number, or a unit is unknown.
 
     Notes
     -----
@@ -118,34 +216,62 @@ def _cells(path: Path) -> tuple[list[str], list[NDArray[Any]], Contents]:
     start = next((i for i, line in enumerate(lines) if line.strip() and line[0] != "#"), None)
     if start is None:
         raise ValueError("it is empty")
-    comments, first, second = lines[:start], lines[start], "".join(lines[start + 1 : start + 2])
-    separator = next((s for s in "\t;" if s in first), ",")
-    cells = [cell.strip().strip('"') for cell in first.strip("\r\n").split(separator)]
+    first, second = lines[start], "".join(lines[start + 1 : start + 2])
+    separator, cells = _split(first)
     limits.check_count(path, "columns", max(len(cells), second.count(separator)), limits.COLUMNS)
     header = _is_header(cells)
     # The default since 3.1, where naming it is deprecated.
     old = tuple(int(part) for part in pandas.__version__.split(".")[:2]) < (3, 1)
-    exact = {"float_precision": "round_trip"} if old else {}
-    frame = pandas.read_csv(
-        path,
-        sep=separator,
-        decimal="," if separator != "," and "," in (second or first) else ".",
-        header=None,
-        skiprows=start + header,
-        comment="#",
-        **exact,
-        encoding_errors="replace",
-        low_memory=False,
-    )
+    options: dict[str, Any] = {"float_precision": "round_trip"} if old else {}
+    options |= {
+        "sep": separator,
+        "decimal": _decimal_sign(lines[start + header :], separator),
+        "header": None,
+        "skiprows": start + header,
+        "comment": "#",
+        "encoding_errors": "replace",
+        "low_memory": False,
+    }
+    frame = pandas.read_csv(path, **options)
+    texts = [i for i in frame if frame[i].dtype.kind not in "biuf" or frame[i].isna().all()]
+    if texts:  # in which NA and None are words, and not gaps between numbers
+        gaps = {"keep_default_na": False, "na_values": ["", "nan", "NaN"]}
+        frame[texts] = pandas.read_csv(path, usecols=texts, **gaps, **options)
     if first.strip("\r\n").endswith(separator) and frame.iloc[:, -1].isna().all():
         frame, cells = frame.iloc[:, :-1], cells[: frame.shape[1] - 1]  # rows end with a separator
     arrays = (frame[i].to_numpy() for i in range(frame.shape[1]))
     columns = [a if a.dtype.kind in "biuf" else a.astype(str) for a in arrays]
     if header and len(cells) != len(columns):
         raise ValueError(f"the header has {len(cells)} names for {len(columns)} columns")
-    pairs = [re.match(r"#\s*([^:=]+?)\s*[:=]\s*(\S+)", line) for line in comments]
-    settings = {pair[1]: _number(pair[2]) for pair in pairs if pair and meaning(pair[1])[0]}
-    return cells if header else [], columns, settings
+    return cells if header else [], columns, _settings(path, lines[:start])
+
+
+def _split(row: str) -> tuple[str, list[str]]:
+    """Return the separator of a table's first row, and its cells, of which some may be quoted."""
+    outside = re.sub('"[^"]*"', "", row)
+    separator = next((s for s in "\t;" if s in outside), ",")
+    if '"' not in row:
+        return separator, [cell.strip() for cell in row.strip("\r\n").split(separator)]
+    cells = next(csv.reader([row.strip("\r\n")], delimiter=separator, skipinitialspace=True))
+    return separator, [cell.strip().strip('"') for cell in cells]
+
+
+def _decimal_sign(rows: list[str], separator: str) -> str:
+    """Return a comma if a cell of rows that it does not separate is a number with one."""
+    edge = rf"\s*(?:\"|{separator}|^|$)\s*"
+    number = re.compile(rf"{edge}[-+]?\d*,\d+(?:[eE][-+]?\d+)?{edge}")
+    found = separator != "," and any("," in row and number.search(row) for row in rows)
+    return "," if found else "."
+
+
+def _settings(path: Path, comments: list[str]) -> Contents:
+    """Return the values of comments ``# key: value unit``; a time there is that of the day."""
+    pairs = (re.match(r"#\s*([^:=]+?)\s*[:=]\s*(\S+)\s*(.*)", line) for line in comments)
+    return {
+        with_unit(path, key, "" if value.endswith((",", ";")) else unit): _number(value)
+        for key, value, unit in (pair.groups() for pair in pairs if pair)
+        if meaning(key)[0] not in ("", "time", "signal")
+    }
 
 
 def _is_header(cells: list[str]) -> bool:

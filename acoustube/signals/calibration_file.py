@@ -51,7 +51,7 @@ def save(calibration: Calibration, path: str | Path) -> None:
         If the disk is full.
     """
     if os.path.lexists(path):
-        raise ConfigError(f"{path} cannot be written, since it exists; name a new file")
+        raise ConfigError(f"{path} exists and nothing is overwritten; name a new file")
     write(path, in_toml(calibration))
 
 

@@ -71,7 +71,7 @@ def chirp_template(
     half_band = bandwidth / 2
     if not half_band < frequency < sampling_rate / 2 - half_band:
         raise ConfigError(
-            f"with bandwidth = {bandwidth:g} Hz reaches zero or half the sampling rate "
+            f"with bandwidth = {bandwidth:g} Hz extends beyond 0 or half the sampling rate "
             f"({sampling_rate / 2:g} Hz)", setting="frequency", value=frequency,
             advice="use a narrower chirp, or sample faster",
         )  # fmt: skip

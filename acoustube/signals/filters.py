@@ -33,6 +33,8 @@ OFFSET_CUTOFF = 100.0
 """Cut-off frequency in Hz of the high-pass that removes a cycle's offset and its drift."""
 LONGEST_TEMPLATE = 1e6
 """Largest number of samples of a template, far more than in a cycle of any recorder."""
+LEAST_NORM = 1e-9
+"""Smallest norm of a template before it is scaled; a smaller one is that of rounding errors."""
 TEMPLATE_CYCLES = 10
 """Length of the matched filter's Hann window in carrier cycles."""
 
@@ -160,7 +162,7 @@ def template(sampling_rate: float, frequency: float, cycles: float = TEMPLATE_CY
     Raises
     ------
     ValueError
-        If the carrier is not below the Nyquist frequency, or the template too long.
+        If the carrier is not below the Nyquist frequency, or the template too long or too short.
     """
     if not 0 < frequency < sampling_rate / 2:
         raise ValueError(
@@ -177,7 +179,13 @@ def template(sampling_rate: float, frequency: float, cycles: float = TEMPLATE_CY
     time = np.arange(-half, half + 1) / sampling_rate
     window = 0.5 + 0.5 * np.cos(2 * np.pi * time * frequency / cycles)
     wave = window * np.sin(2 * np.pi * frequency * time)
-    return np.asarray(wave / np.linalg.norm(wave))
+    norm = np.linalg.norm(wave)
+    if norm < LEAST_NORM:
+        raise ValueError(
+            f"a template of {cycles:g} cycles of frequency = {frequency:g} Hz is zero at all its "
+            f"samples, {time.size} at sampling_rate = {sampling_rate:g} Hz; give more cycles"
+        )
+    return np.asarray(wave / norm)
 
 
 @checked(samples=SAMPLES, template=Complex(0, 1e100, axes=1))
@@ -200,14 +208,21 @@ def matched_filter(samples: ArrayLike, template: ArrayLike) -> Any:
     Raises
     ------
     ValueError
-        If the template is longer than a cycle.
+        If the template is longer than a cycle, or has an even number of samples.
     """
     samples, template = np.asarray(samples, dtype=float), np.atleast_1d(np.asarray(template))
+    if template.size % 2 == 0:
+        raise ValueError(
+            f"template has {template.size} samples and so none in its middle, which would shift "
+            "times by half a sample; give an odd number"
+        )
     if template.size > samples.shape[-1]:
         raise ValueError(
             f"the record of {samples.shape[-1]} samples is shorter than the matched filter's "
             f"template of {template.size}; record more"
         )
+    if not samples.size:
+        return np.zeros(samples.shape, np.result_type(samples, template))
     kernel = template[::-1].conj().reshape((1,) * (samples.ndim - 1) + (-1,))
     return np.asarray(signal.oaconvolve(samples, kernel, mode="same", axes=-1))
 
@@ -320,7 +335,7 @@ def envelope(pressure: ArrayLike, sampling_rate: float, cutoff: float = 10e3) ->
     return np.pi / 2 * low_pass(rectify(pressure), sampling_rate, cutoff)
 
 
-@checked(samples=SAMPLES, amplitude=Reals(missing=True))
+@checked(samples=SAMPLES, amplitude=Reals(missing=True, empty=True))
 def normalise(samples: ArrayLike, amplitude: ArrayLike) -> Array:
     """Divide each signal by its amplitude.
 
@@ -345,8 +360,8 @@ def normalise(samples: ArrayLike, amplitude: ArrayLike) -> Array:
     shapes = np.shape(samples)[:-1], np.shape(amplitude)
     if shapes[1] and shapes[0] != shapes[1]:
         raise ConfigError(
-            f"amplitude has shape {shapes[1]} and the samples are signals of shape {shapes[0]}; "
-            "give one amplitude for each"
+            f"amplitude has shape {shapes[1]} and the signals in samples {shapes[0]}; give one for "
+            "each signal"
         )
     amplitude = np.asarray(amplitude, dtype=float)[..., np.newaxis]
     return np.asarray(samples, dtype=float) / np.where(amplitude > 0, amplitude, np.nan)

@@ -74,8 +74,8 @@ def send_pulse(time: ArrayLike, envelope: ArrayLike, before: float) -> tuple[Arr
 @checked(
     time=TIMES,
     envelope=Reals(axes=1, missing=True),
-    start=Reals(-np.inf, np.inf, "s", missing=True),
-    stop=Reals(-np.inf, np.inf, "s", missing=True),
+    start=Reals(-np.inf, np.inf, "s", missing=True, empty=True),
+    stop=Reals(-np.inf, np.inf, "s", missing=True, empty=True),
     prominence=PROMINENCE,
 )
 def find_echoes(

@@ -19,6 +19,7 @@ from acoustube.base.checks import (
     check_fields,
     checked,
 )
+from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.signals.compression import WINDOW, chirp_template
 from acoustube.signals.filters import (
@@ -27,6 +28,9 @@ from acoustube.signals.filters import (
     TimeGain,
     template,
 )
+
+TEMPLATE = Number(1, CYCLES.high, "cycles")
+"""Rule for the length of the matched filter: a shorter one may have no sample but zeros."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +67,7 @@ class Processing:
     Raises
     ------
     ConfigError
-        If a value is outside its range.
+        If a value is outside its range, or `nearest` is not below `farthest`.
     """
 
     frequency: float = 42e3
@@ -80,14 +84,19 @@ class Processing:
     send_shift: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raise if a value is out of range."""
+        """Raise if a value is out of range, or the search window is empty."""
         check_fields(
             self, frequency=FREQUENCY, pulse_cycles=CYCLES, cutoff=FREQUENCY,
             prominence=Number(1e-12, 1e6), nearest=Number(-1e3, 1e6, "m"),
             farthest=LENGTH, send_shift=Number(-1, 1, "s"), offset_cutoff=Optional(FREQUENCY),
-            template_cycles=Optional(CYCLES), gain=Optional(Instance((TimeGain,))),
+            template_cycles=Optional(TEMPLATE), gain=Optional(Instance((TimeGain,))),
             bandwidth=Optional(FREQUENCY), window=WINDOW,
         )  # fmt: skip
+        if self.nearest >= self.farthest:
+            raise ConfigError(
+                f"is not below farthest = {self.farthest:g} m", setting="nearest",
+                value=self.nearest, unit="m", advice="give a search window that is not empty",
+            )  # fmt: skip
 
 
 @checked(settings=Processing, sampling_rate=RATE)

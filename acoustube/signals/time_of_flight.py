@@ -63,8 +63,8 @@ def nominal_distance(time: Array, speed: Array, pulse_duration: float) -> Array:
 
     Parameters
     ----------
-    time : array of shape (time,)
-        In s.
+    time : array of shape (time,) or (..., time)
+        In s, less the time from the source to the probe.
     speed : array of shape (...)
         Speed of sound in m/s.
     pulse_duration : float
