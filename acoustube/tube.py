@@ -43,7 +43,7 @@ def shear_modulus_from_shore(shore_a: float) -> float:
     .. [2] H. J. Qi, K. Joyce, M. C. Boyce, "Durometer hardness and the stress-strain behavior of
        elastomeric materials", Rubber Chem. Technol. 76, 419-435 (2003). doi:10.5254/1.3547752
     """
-    hardness = shore_a if isinstance(shore_a, float | int) else np.asarray(shore_a)
+    hardness = shore_a if isinstance(shore_a, float | int) else np.asarray(shore_a, float)
     return 1e6 * 10 ** (0.0235 * hardness - 0.64) / 3
 
 

@@ -13,6 +13,7 @@ import pytest
 
 import acoustube
 from acoustube.base import cache
+from acoustube.base.errors import ConfigError
 from acoustube.indentation import indent
 from acoustube.indentation.mesh import MeshSize
 from acoustube.runs import presses as press_runs
@@ -267,6 +268,28 @@ def test_read_only_folder_disables_the_cache_without_an_error(tmp_path, monkeypa
     cache.store("a", ARRAYS)
     assert cache.recall("a") is None
     assert cache.entries() == []
+
+
+def test_folder_that_cannot_be_looked_up_disables_the_cache_without_an_error(monkeypatch):
+    """As one in another user's home: its status is denied, which pathlib raises."""
+    looked_up = os.stat
+
+    def denied(path, *arguments, **options):
+        if str(path).startswith("/denied"):
+            raise PermissionError(13, "Permission denied", str(path))
+        return looked_up(path, *arguments, **options)
+
+    monkeypatch.setattr(os, "stat", denied)
+    monkeypatch.setenv("ACOUSTUBE_CACHE", "/denied/cache")
+    assert cache.folder() == Path("/denied/cache")
+    assert not cache.holds("a")
+    assert cache.recall("a") is None
+
+
+def test_folder_in_the_home_of_nobody_is_refused(monkeypatch):
+    monkeypatch.setenv("ACOUSTUBE_CACHE", "~no-such-user/cache")
+    with pytest.raises(ConfigError, match="is in no known home folder"):
+        cache.folder()
 
 
 def test_press_is_computed_once_for_all_frequencies(monkeypatch):

@@ -295,6 +295,14 @@ def test_a_punch_beside_the_axis_touches_with_its_edge(outer_wall):
     assert height == pytest.approx(exact, abs=2e-6)
 
 
+@pytest.mark.parametrize("edge", [0.4e-3, None])
+def test_gap_to_a_punch_of_another_diameter_is_that_of_a_new_punch(edge):
+    """A given edge radius stays; the default one is a tenth of the new radius."""
+    point = np.array([3.9e-3, 0.2e-3, 0.0])
+    first, other = (Indenter(shape="punch", diameter=d, edge_radius=edge) for d in (8e-3, 8.4e-3))
+    assert first.gap(8.4e-3)(point) == pytest.approx(float(other.gap()(point)), rel=1e-12)
+
+
 def test_a_yawed_rod_touches_at_the_height_of_the_top_line(outer_wall):
     """The lowest line of an endless rod crosses the tube's top line at any angle."""
     gap = Indenter(shape="rod", diameter=10e-3, yaw=0.5).gap()

@@ -89,10 +89,22 @@ def test_rows_at_any_depth_are_measured_like_solved_ones(solved, path):
     assert found.smallest_gap[1] == pytest.approx(solved.smallest_gap[7], abs=20e-6)
 
 
+def test_gap_near_first_contact_is_between_those_of_the_first_rows(path):
+    """The smallest gap falls with depth; before the second row it is larger than that row's."""
+    rows = path.indentation
+    found = path.at([0.0, 1e-4])
+    assert found.smallest_gap[0] == rows.smallest_gap[0]
+    assert rows.smallest_gap[0] > found.smallest_gap[1] > rows.smallest_gap[1]
+    unknown = dataclasses.replace(rows, smallest_gap=np.append(np.nan, rows.smallest_gap[1:]))
+    assert DepthPath(unknown).at([1e-4]).smallest_gap == rows.smallest_gap[1]
+
+
 def test_depths_beyond_the_rows_and_too_few_rows_are_refused(solved, path):
     for depth in (-1e-6, [1e-3, 3.1e-3], np.nan):
         refused(lambda depth=depth: path.displacement(depth), setting="depth")
     with pytest.raises(ConfigError, match="increasing"):
         path.at([2e-3, 1e-3])
+    with pytest.raises(ConfigError, match=r"begins at a depth of 0\.00025 m"):
+        DepthPath(rows_of(solved, list(range(1, 13))))
     with pytest.raises(ConfigError, match="has 4 rows"):
         DepthPath(rows_of(solved, [0, 4, 8, 12]))

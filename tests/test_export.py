@@ -304,11 +304,45 @@ def test_sound_files_hold_the_counts(cycles):
         np.testing.assert_array_equal(part, cycles["signal"].values[i])
 
 
+@pytest.mark.parametrize("offset", [0.0, 0.9])
+def test_samples_that_are_not_counts_are_kept(cycles, tmp_path, offset):
+    """Cycles of a sensor with quantised = False: float64 about the offset, here of 1.8 V."""
+    mean = offset / 1.8 * 65536
+    samples = mean + np.random.default_rng(3).normal(size=cycles["signal"].shape)
+    attributes = {
+        "full_scale": 65536,
+        "rangefinder": json.dumps({"offset": offset, "full_scale": 1.8}),
+    }
+    data = cycles.assign(signal=(("cycle", "time"), samples)).assign_attrs(attributes)
+    (tmp_path / "floats").mkdir()
+    write_dataset(data, tmp_path / "floats" / "cycles-1.nc")
+    assert main(["export", "floats", "--out", "out"]) == 0
+    read = [soundfile.read(path, dtype="float32")[0] for path in sorted(Path("out").glob("*.wav"))]
+    np.testing.assert_array_equal(np.concatenate(read), samples.ravel().astype(np.float32))
+    assert "floating-point" in Path("out/README.txt").read_text()
+    assert main(["export", "floats", "--format", "lerobot", "--out", "episodes"]) == 0
+    frames, _ = frames_of(tmp_path / "episodes")
+    signal = 32768 * np.stack(frames["observation.signal"])
+    np.testing.assert_allclose(signal, samples - mean, rtol=1e-5)
+
+
 def test_labels_of_cycles_are_a_table(cycles):
     assert main(["export", "cycles", "--format", "csv", "--out", "out"]) == 0
     table = numbers_of("out/cycles.csv")
     np.testing.assert_array_equal(table["temperature"], cycles["temperature"].values)
     assert list(table["session"][:4]) == ["s1", "s1", "s1", "s2"]
+
+
+@pytest.mark.usefixtures("cycles")
+def test_folder_in_the_home_and_link_to_an_empty_folder_are_written(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert main(["export", "cycles", "--format", "csv", "--out", "~/out"]) == 0
+    assert (tmp_path / "out" / "cycles.csv").is_file()
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "link").symlink_to("empty")
+    assert main(["export", "cycles", "--format", "csv", "--out", "link"]) == 0
+    assert (tmp_path / "link" / "cycles.csv").is_file()
+    assert not (tmp_path / "link-2").exists()
 
 
 def frames_of(folder):
@@ -422,7 +456,7 @@ def test_missing_parquet_is_reported_with_what_to_install(kind, tmp_path, capsys
     assert main(["export", "cycles", "--format", kind, "--out", "out"]) == 2
     line = capsys.readouterr().err
     assert "acoustube[parquet]" in line
-    assert "--format csv" in line
+    assert "use format csv" in line
     assert not (tmp_path / "out").exists()
 
 

@@ -24,6 +24,7 @@ from acoustube.indentation import (
     wrinkle_penalty,
 )
 from acoustube.indentation.mesh import USUAL_MESH, sweep
+from acoustube.indentation.press import _check_range
 from acoustube.indentation.self_contact import triangulated
 from acoustube.lumen import measure
 from acoustube.tube import Tube
@@ -293,7 +294,7 @@ def test_press_that_cannot_converge_reports_and_keeps_the_depth_reached(monkeypa
         return result
 
     monkeypatch.setattr(load_path, "minimise", blocked)
-    message = r"depth of 0\.30 mm of 1\.00 mm: buckling.*Reduce the depth"
+    message = r"depth of 0\.30 mm of 1\.00 mm: buckling.*reduce the depth"
     with pytest.raises(PressError, match=message) as stopped:
         indent(Tube(), depth=[1e-4, 1e-3], mesh=COARSE)
     kept = stopped.value.indentation
@@ -468,6 +469,20 @@ def test_mesh_of_ones_own_is_pressed():
 
 
 @pytest.mark.parametrize(
+    ("halved", "tool", "whole", "message"),
+    [
+        ((True, True), Indenter(shape="sphere", diameter=10e-3, z=10e-3), False, "half z >= 0"),
+        ((True, False), Indenter(shape="sphere", diameter=10e-3, x=1e-3), False, "half x >= 0"),
+        ((False, True), Indenter(), True, "half z >= 0.*whole = True"),
+    ],
+)
+def test_half_a_mesh_needs_a_symmetric_press(halved, tool, whole, message):
+    mesh = sweep(Tube(), 40e-3, COARSE, halved=halved)
+    with pytest.raises(ConfigError, match=message):
+        indent(Tube(), tool, depth=3e-4, mesh=mesh, whole=whole)
+
+
+@pytest.mark.parametrize(
     "depth",
     [0.0, -1e-3, 8.8e-3, np.nan, np.inf, [2e-3, 1e-3], [1e-3, 1e-3], [1e-3, np.nan], []],
 )
@@ -475,6 +490,23 @@ def test_impossible_depths_are_refused(depth):
     """Not above zero, half a wall beyond the bore (8.7 mm), decreasing, no numbers, or none."""
     with pytest.raises(ConfigError, match="depth = "):
         indent(Tube(), depth=depth, mesh=COARSE)
+
+
+@pytest.mark.parametrize("depth", [[[1e-4], [2e-4]], [[1e-4, 2e-4]]])
+def test_depths_in_two_dimensions_are_refused(depth):
+    with pytest.raises(ConfigError, match=r"depth has shape .* 1-D array"):
+        indent(Tube(), depth=depth, mesh=COARSE)
+
+
+def test_largest_depth_and_yaw_that_a_message_advises_are_accepted():
+    """The largest depth is 13.1456789 mm, and the largest yaw pi/3: both are stated rounded up."""
+    tube = Tube(inner_diameter=12.3456789e-3)
+    with pytest.raises(ConfigError, match=r"use at most 0\.0131457 m"):
+        indent(tube, depth=14e-3, mesh=COARSE)
+    _check_range(tube, np.array([0.0131457]), "held", None)
+    with pytest.raises(ConfigError, match=r"to 1\.0472 rad"):
+        Indenter(yaw=1.1)
+    assert Indenter(yaw=1.0472).yaw == 1.0472
 
 
 @pytest.mark.parametrize(

@@ -435,6 +435,16 @@ def test_many_places_are_thinned_out_evenly(sweep, monkeypatch):
         read(sweep)
 
 
+def test_places_that_hold_most_cases_do_not_refuse_a_page():
+    """390, 10 and 50 cases: the outer places have too many, the first one alone does not."""
+    from acoustube.reports.page import cases
+
+    sizes = {10.0: 390, 20.0: 10, 30.0: 50}
+    kept, notes = cases.limited({("rod", place, ""): [None] * n for place, n in sizes.items()})
+    assert [place for _, place, _ in kept] == [10.0]
+    assert "390 of the sweep's 450 cases: 1 of 3 places" in notes[0]
+
+
 def test_what_cannot_be_shown_is_refused(tmp_path, capsys):
     (tmp_path / "begun").mkdir()
     (tmp_path / "begun" / "sweep.toml").write_text("")

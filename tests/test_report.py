@@ -70,10 +70,10 @@ def test_lines_become_rarer_in_work_of_hours(monkeypatch):
     with ConsoleReporter(Console(file=text, width=200)).progress() as show:
         for second in range(36_000):
             clock.now = float(second)
-            show("path", 3, 7, "")
+            show("load paths", 3, 7, "")
             show("cases", 5, 100, "3 h left")
     lines = text.getvalue().splitlines()
-    assert lines[-1] == "path 3 of 7, cases 5 of 100; 3 h left"
+    assert lines[-1] == "load paths 3 of 7, cases 5 of 100; 3 h left"
     assert 590 < len(lines) < 650
 
 

@@ -359,3 +359,12 @@ def test_pressure_of_a_gap_is_that_between_level_plates():
         )
         force = barrier.gradient(pairs, mesh, near).reshape(-1, 3)[n * n :, 1].sum()
         assert 0.9 * pressure < abs(force) < 1.7 * pressure
+
+
+def test_gap_falls_with_pressure_from_the_activation_distance_on():
+    """The energy's pole dominates high pressures: p = 2 K / r, as for very soft walls."""
+    gaps = [gap_at_pressure(p, 1.0, 1.0) for p in (-1.0, 0.0, 1.0, 2.9e5, 3.1e5, 1e12)]
+    assert gaps[:2] == [1.0, 1.0]
+    assert np.all(np.diff(gaps[1:]) < 0)
+    assert gaps[3:5] == pytest.approx([0.6 / 2.9e5, 0.6 / 3.1e5], rel=1e-5)
+    assert gaps[5] == pytest.approx(0.6e-12)

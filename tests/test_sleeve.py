@@ -86,6 +86,15 @@ def test_places_off_the_tubes_find_the_nearest_of_many_points_along_them():
     assert np.all(found.next_gap >= found.gap)
 
 
+@pytest.mark.parametrize("lead", [0.0, 2.0])
+def test_next_loop_does_not_depend_on_the_lead(lead):
+    """Loops of one tube are a pitch apart, 33.3 mm across the loops."""
+    helix = Helix(radius=0.04, length=0.1, loops=3, lead=lead)
+    found = nearest([helix], helix.place(helix.distance(0.05)))
+    assert abs(found.next_distance - found.distance) == pytest.approx(0.249, abs=1e-3)
+    assert found.next_gap == pytest.approx(0.0330, abs=1e-4)
+
+
 def test_distances_in_the_lead_and_beyond_the_end_have_no_place():
     helix = Helix(**FOREARM)
     assert np.all(np.isnan(helix.place([0.1, helix.tube_length + 0.01])))
@@ -164,7 +173,7 @@ def test_impossible_helices_are_refused(changes, setting, value):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"loops": 12}, ["a tube of", "up to 250 cm", "9.4 loops or fewer"]),
+        ({"loops": 12}, ["a tube of", "up to 250 cm", "9.3 loops or fewer"]),
         ({"loops": 9, "n_tubes": 4}, ["6.9 mm apart", "11.1 mm outer diameter", "fewer"]),
         ({"loops": 9, "pitch": 0.03}, ["loops or a pitch"]),
         ({"pitch": -0.03}, ["pitch = -3 cm"]),
@@ -175,6 +184,19 @@ def test_layouts_that_cannot_be_are_refused(changes, words):
         design(0.25, (0.17, 0.26), **changes)
     for word in words:
         assert word in str(refusal.value)
+
+
+@pytest.mark.parametrize("sleeve", [(0.25, (0.17, 0.26), 12.0), (1.2, (0.2, 0.2), 10.0)])
+def test_advised_number_of_loops_is_the_largest_that_fits(sleeve):
+    """In tenths; on the longer sleeve the tube's length is far from proportional to its loops."""
+    length, girths, loops = sleeve
+    with pytest.raises(ConfigError) as refusal:
+        design(length, girths, loops=loops, reach=2.0)
+    advised = float(str(refusal.value).split(" loops or fewer")[0].split()[-1])
+    assert 0 < advised < loops
+    design(length, girths, loops=advised, reach=2.0)
+    with pytest.raises(ConfigError, match=f"use {advised:g} loops or fewer"):
+        design(length, girths, loops=advised + 0.1, reach=2.0)
 
 
 def test_a_tip_on_the_arm_is_refused():

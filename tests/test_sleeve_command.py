@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from acoustube.base.errors import ConfigError
 from acoustube.cli import _app
 from acoustube.reports.scenes import sleeve as sleeve_scene
-from acoustube.sleeve import fit_arm, read_markers, wound
+from acoustube.reports.sleeve_table import contact_in_words
+from acoustube.sleeve import design, fit_arm, layout, read_markers, wound
 
 MARKERS = Path(__file__).parents[1] / "examples" / "forearm_markers.csv"
 FOREARM = ["--forearm", "25", "17", "26"]
@@ -89,10 +91,26 @@ def test_sleeves_that_cannot_be_are_refused_in_a_line(words, parts, tmp_path, ca
     assert not (tmp_path / "out").exists()
 
 
+def test_advised_distances_and_the_end_of_a_tube_have_their_loop():
+    tubes = design(0.25, (0.17, 0.26), loops=9)
+    found = layout(tubes)
+    with pytest.raises(ConfigError, match="use 15 to ") as refusal:
+        contact_in_words(tubes, found, (1, 9.0))
+    farthest = float(str(refusal.value).split()[-2])
+    assert farthest == pytest.approx(100 * tubes[1].tube_length, abs=0.01)
+    for distance in (15, farthest):
+        assert "the next loop, of tube" in contact_in_words(tubes, found, (1, distance / 100))
+    assert ", loop 9;" in contact_in_words(tubes, found, (0, tubes[0].tube_length))
+
+
+def test_tube_of_less_than_a_loop_has_no_next_one():
+    tubes = design(0.25, (0.17, 0.26), loops=0.25, n_tubes=1)
+    words = contact_in_words(tubes, layout(tubes), (0, tubes[0].tube_length))
+    assert words.endswith("there is no other loop")
+
+
 def test_picture_shows_every_part():
     pytest.importorskip("pyvista")
-    from acoustube.sleeve import design, layout
-
     tubes = design(0.25, (0.17, 0.26), loops=6, lead=0.05)
     picture = sleeve_scene.Picture(
         tubes=tuple(tubes),

@@ -131,6 +131,8 @@ def test_swipe_along_the_arm_is_followed_across_loops():
         ({0.6: 1.0, 0.8: 0.1, 1.01: 0.2}, [0.6, 0.8, 1.01]),  # higher than the reflected one
         ({0.6: 1.0, 0.8: 0.3, 1.1: 0.1}, [0.6, 0.8, 1.1]),
         ({np.nan: 1.0}, []),
+        ({-np.inf: 1.0, 0.6: 1.0, 0.9: 1.0, np.inf: 1.0}, [0.6, 0.9]),  # no places
+        ({0.5: 1.0, 0.6: np.nan, 1.2: 1.0}, [0.5, 1.2]),  # no height
     ],
 )
 def test_ghost_echoes_are_removed(echoes, own):
@@ -141,6 +143,7 @@ def test_ghost_echoes_are_removed(echoes, own):
 
 def test_what_cannot_be_followed_is_refused():
     tracker = ContactTracker()
+    refused(lambda: tracker.update(np.nan, [0.5]), setting="time")
     tracker.update(1.0, [0.5, np.nan])
     refused(lambda: tracker.update(1.0, [0.5]), setting="time", value=1.0)
     with pytest.raises(ConfigError, match="length between the sensors"):

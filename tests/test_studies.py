@@ -1,6 +1,7 @@
 """The studies' arithmetic on synthetic data, their report, and the command that runs them."""
 
 import csv
+import dataclasses
 import shutil
 from io import StringIO
 from typing import get_args
@@ -257,6 +258,8 @@ def test_two_presses_are_the_highest_peaks_near_their_places():
     assert offsets[0] == pytest.approx(0.06, abs=1e-3)
     assert np.isnan(offsets[2])
     assert np.isnan(offsets[1])
+    none = dataclasses.replace(ranging, echoes=Echoes(*3 * [np.empty(0)]))
+    assert np.isnan(echotube.both(none, (0.6, 0.8))).all()
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from refusals import refused
 from scipy.sparse.linalg import splu
 from solids import HEXAHEDRA_AT_4_MM, neo_hookean_solid, nodal_forces
 
@@ -160,8 +161,17 @@ def test_walls_too_thin_to_mesh_are_refused_with_their_thickness():
         tetrahedral_mesh(read_surface(written(worn)), reach=50e-3)
 
 
+@pytest.mark.parametrize(
+    ("values", "setting"),
+    [({"fine": 0.0}, "fine"), ({"coarse": np.nan}, "coarse"), ({"near": -1.0}, "near"),
+     ({"near": 3.0}, "near"), ({"near": 2.0, "far": 1.0}, "near")],
+)  # fmt: skip
+def test_impossible_edge_lengths_are_refused(values, setting):
+    refused(lambda: TetrahedronSize(**values), setting=setting)
+
+
 def test_piece_longer_than_the_tube_is_refused(surface):
-    with pytest.raises(ConfigError, match=r"reach = 0\.09 m is outside 0 to 0\.08"):
+    with pytest.raises(ConfigError, match=r"reach = 0\.09 m, .* is not between 0 and 0\.08 m"):
         tetrahedral_mesh(surface, reach=90e-3)
 
 

@@ -13,6 +13,12 @@ def test_shore_35_has_the_papers_shear_modulus():
     assert Tube().shear_modulus == shear_modulus_from_shore(35.0)
 
 
+@pytest.mark.parametrize("kind", [np.float16, np.float32, np.int8])
+def test_shear_modulus_of_hardnesses_does_not_depend_on_their_type(kind):
+    found = shear_modulus_from_shore(np.array([20, 35], kind))
+    assert found == pytest.approx([shear_modulus_from_shore(20), shear_modulus_from_shore(35)])
+
+
 def test_bulk_modulus_of_silicone_is_50_shear_moduli():
     """nu = 0.49: K / mu = 2 x 1.49 / 0.06 = 49.67. nu = 0 leaves K = 2 mu / 3."""
     tube = Tube(poisson_ratio=0.49)

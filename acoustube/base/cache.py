@@ -99,11 +99,13 @@ def folder() -> Path:
     Raises
     ------
     ConfigError
-        If the path is that of a file.
+        If the path is that of a file, or in the home folder of an unknown user.
     """
-    chosen = os.environ.get("ACOUSTUBE_CACHE")
-    found = Path(chosen).expanduser() if chosen else user_cache_path("acoustube")
-    if found.is_file():
+    chosen = os.environ.get("ACOUSTUBE_CACHE") or str(user_cache_path("acoustube"))
+    found = Path(os.path.expanduser(chosen))  # noqa: PTH111  Path raises RuntimeError
+    if str(found).startswith("~"):
+        raise ConfigError(f"ACOUSTUBE_CACHE = {found} is in no known home folder; name a folder")
+    if os.path.isfile(found):  # noqa: PTH113  False where it cannot be looked up
         raise ConfigError(f"ACOUSTUBE_CACHE = {found} is a file; name a folder")
     return found
 
@@ -181,10 +183,7 @@ def code_digest(root: Path, entries: Sequence[str]) -> str:
 
 
 def _known_sources() -> dict[str, list[Any]]:
-    """Return modules that were parsed before, by path.
-
-    Each is a list of its time of change in ns, size in bytes, digest and imports.
-    """
+    """Return by path the time of change in ns, size in bytes, digest and imports of modules."""
     try:
         known = json.loads((folder() / SOURCES).read_bytes())
         return {path: source for path, source in known.items() if len(source) == 4}
@@ -236,7 +235,7 @@ def _is_text(node: ast.stmt) -> bool:
 
 def holds(name: str) -> bool:
     """Return whether there is an entry for a key (:func:`key`); it may be damaged."""
-    return (folder() / f"{name}.npz").is_file()
+    return os.path.isfile(folder() / f"{name}.npz")  # noqa: PTH113
 
 
 def recall(name: str) -> dict[str, NDArray[Any]] | None:

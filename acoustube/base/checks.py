@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from numbers import Number as AnyNumber
@@ -62,21 +63,22 @@ class Reals:
         try:
             array = np.asarray(value)
         except Exception as error:  # its own conversion may raise anything
-            raise self._error(name, value, "is not an array") from error
+            raise self._error(name, value, "is not an array", "give numbers") from error
         if np.ma.is_masked(value):
-            raise self._error(name, value, "has masked elements")
+            raise self._error(name, value, "has masked elements", "fill or remove them")
         if array.dtype.kind not in self.kinds:
-            kind = "real" if "f" in self.kinds else "whole"
-            raise self._error(name, value, f"is of type {array.dtype} and not of {kind} numbers")
+            numbers = f"{'real' if 'f' in self.kinds else 'whole'} numbers"
+            wanted = f"give {numbers}{' or strings' if 'U' in self.kinds else ''}"
+            raise self._error(name, value, f"is of type {array.dtype}", wanted)
         if array.ndim < self.axes or array.ndim != (array.ndim if self.ndim is None else self.ndim):
-            axes = f"{self.axes} or more axes" if self.ndim is None else f"{self.ndim} axes"
-            raise self._error(name, value, f"has shape {array.shape} and not {axes}")
+            raise self._error(name, value, f"has shape {array.shape}", self._wanted_axes())
         if self.last is not None and (array.ndim == 0 or array.shape[-1] != self.last):
-            raise self._error(name, value, f"has shape {array.shape} and not (..., {self.last})")
+            wanted = f"give an array of shape (..., {self.last})"
+            raise self._error(name, value, f"has shape {array.shape}", wanted)
         if array.size == 0:
             if self.empty or (array.ndim > 1 and array.shape[-1]):
                 return
-            raise self._error(name, value, f"is empty, of shape {array.shape}")
+            raise self._error(name, value, f"is empty, of shape {array.shape}", "give values")
         if self.missing:
             array = array[np.isfinite(array)]
         if array.dtype.kind == "U":
@@ -85,11 +87,20 @@ class Reals:
         if array.size and not (float(array.min()) >= self.low and float(array.max()) <= self.high):
             raise self._error(name, value, "is out of range or not finite")
 
-    def _error(self, name: str, value: Any, reason: str) -> ConfigError:
+    def _wanted_axes(self) -> str:
+        """Return the advice for an array with a wrong number of axes."""
+        if self.ndim == 0:
+            return "give one number"
+        if self.ndim is None:
+            return f"give an array of {self.axes} or more axes"
+        return f"give an array of {self.ndim} {'axis' if self.ndim == 1 else 'axes'}"
+
+    def _error(self, name: str, value: Any, reason: str, advice: str = "") -> ConfigError:
+        """Return the error of a value; by default its advice states the bounds."""
         bounds = f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
         return ConfigError(
             reason, setting=name, value=_in_words(value),
-            allowed=(self.low, self.high), advice=f"use numbers from {bounds}",
+            allowed=(self.low, self.high), advice=advice or f"use numbers from {bounds}",
         )  # fmt: skip
 
 
@@ -105,7 +116,7 @@ def _in_words(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Complex:
-    """Rule for a finite complex number, or a NumPy array of finite complex numbers.
+    """Rule for a finite complex number, or an array, list or tuple of finite complex numbers.
 
     Parameters
     ----------
@@ -119,22 +130,33 @@ class Complex:
     most: float
     axes: int | None = None
 
-    def check(self, name: str, value: Any) -> None:
-        """Raise ConfigError unless all values are finite, their magnitude within the bounds."""
+    def check(self, name: str, value: Any) -> Any:
+        """Return the value, a list or tuple as an array.
+
+        Raises
+        ------
+        ConfigError
+            If a value is not finite, or its magnitude not within the bounds.
+        """
         import numpy as np
 
-        array = np.asarray(value) if isinstance(value, AnyNumber | np.ndarray) else np.empty(0)
+        array = np.empty(0)
+        if isinstance(value, AnyNumber | np.ndarray | list | tuple):
+            with suppress(ValueError):  # rows of different length
+                array = np.asarray(value)
         size = np.abs(array) if array.dtype.kind in "iufc" else np.empty(0)
         if not (size.size and size.min() >= self.least and size.max() <= self.most):
             raise ConfigError(
-                "is not a finite number", setting=name, value=_in_words(value),
+                "is not finite or out of range", setting=name, value=_in_words(value),
                 advice=f"use numbers of magnitude {self.least:g} to {self.most:g}",
             )  # fmt: skip
         if self.axes is not None and array.ndim > self.axes:
+            wanted = f"an array of at most {self.axes} dimensions" if self.axes else "one number"
             raise ConfigError(
                 f"has shape {array.shape}", setting=name, value=_in_words(value),
-                advice=f"give an array of at most {self.axes} dimensions",
+                advice=f"give {wanted}",
             )  # fmt: skip
+        return array if isinstance(value, list | tuple) else value
 
 
 @dataclass(frozen=True)
@@ -148,8 +170,9 @@ class Instance:
         if not isinstance(value, self.kinds):
             words = " or ".join(f"a {kind.__name__}" for kind in self.kinds)
             raise ConfigError(
-                f"is a {type(value).__name__}", setting=name, value=value, advice=f"give {words}"
-            )
+                f"is of type {type(value).__name__}", setting=name, value=value,
+                advice=f"give {words}",
+            )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -215,7 +238,8 @@ def check_argument(name: str, value: Any, rule: Any) -> Any:
     """Return an argument if it obeys a rule, else raise ConfigError.
 
     A class as a rule stands for its instances. Under a rule for a number, a number of NumPy is
-    returned as a plain float or int; if only whole numbers are allowed, any number as an int.
+    returned as a plain float or int; if only whole numbers are allowed, any number as an int. Under
+    a rule for complex numbers, a list or tuple is returned as an array.
     """
     if isinstance(rule, type):
         rule = Instance((rule,))
@@ -225,7 +249,7 @@ def check_argument(name: str, value: Any, rule: Any) -> Any:
         value = value.item()  # NumPy's numbers, and arrays of one
     found = rule.check(name, value)
     plain = isinstance(rule, Number) and (rule.whole or not isinstance(value, int | float))
-    return found if plain else value
+    return found if plain or isinstance(rule, Complex) else value
 
 
 def checked(**rules: Any) -> Callable[[Callable[P, T]], Callable[P, T]]:
@@ -312,6 +336,7 @@ PROMINENCE = Number(0, LARGEST)
 GAPS = Reals(missing=True, empty=True)
 FLAG = Flag()
 REFLECTION = Complex(0, 1e3)
+ONE_REFLECTION = Complex(0, 1e3, axes=0)
 WAVES = Complex(1e-6, 1e12)
 WAVE_SERIES = Complex(1e-6, 1e12, axes=1)
 CYCLES = Number(0.1, 1e4, "cycles")

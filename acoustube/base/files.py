@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from acoustube.base import interrupts, remnants
 from acoustube.base.errors import ConfigError
+from acoustube.base.names import PATH
 from acoustube.base.remnants import ASIDE
 from acoustube.base.writing import DiskFullError, aside, to_disk
 
@@ -60,7 +61,7 @@ def check_surface(path: str | Path) -> None:
     if not Path(path).is_file():
         other = "is a pipe or a device, not a file" if Path(path).exists() else "does not exist"
         what = "is a folder" if Path(path).is_dir() else other
-        raise ConfigError(f"{path} {what}; give the name of a surface: STL, PLY, OBJ or VTP.")
+        raise ConfigError(f"{path} {what}; give the name of a surface: STL, PLY, OBJ or VTP")
 
 
 def check_netcdf_name(path: Path) -> None:
@@ -70,7 +71,7 @@ def check_netcdf_name(path: Path) -> None:
 
 
 def check_new_file(path: Path, name: str = "out") -> None:
-    """Raise ConfigError if a file exists, or its folder does not exist or cannot be written.
+    """Raise ConfigError unless a file is new, can have its name, and its folder can be written.
 
     Parameters
     ----------
@@ -78,6 +79,7 @@ def check_new_file(path: Path, name: str = "out") -> None:
     name : str
         Name of the option that gave the path.
     """
+    PATH.check(name, path)
     if os.path.lexists(path):
         raise ConfigError(f"{name} = {path} exists and nothing is overwritten; name a new file")
     folder = path.absolute().parent
@@ -163,7 +165,9 @@ def partial_folder(path: str | Path) -> Iterator[Path]:
             try:
                 partial.mkdir(parents=True)
             except OSError as error:
-                raise ConfigError(f"out = {path} cannot be made ({error.strerror})") from error
+                raise ConfigError(
+                    f"out = {path} cannot be written ({error.strerror}); name a writable folder"
+                ) from error
             try:
                 yield partial
             except DiskFullError as error:
@@ -199,7 +203,7 @@ def publish(partial: Path, path: str | Path) -> Path:
         If the folder cannot be renamed for another reason.
     """
     interrupts.check()
-    folder = Path(path).absolute()
+    folder = Path(path).expanduser().absolute()
     numbered = (folder.with_name(f"{folder.name}-{n}") for n in itertools.count(2))
     for name in itertools.chain([folder], numbered):
         try:

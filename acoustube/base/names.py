@@ -31,7 +31,7 @@ class FileNames:
         several = isinstance(value, Iterable) and not isinstance(value, bytes | dict)
         if not self.many or not several or getattr(value, "ndim", 1) == 0:
             raise ConfigError(
-                f"is a {type(value).__name__}", setting=name, value=repr(value),
+                f"is of type {type(value).__name__}", setting=name, value=repr(value),
                 advice="give a str or a PathLike" + (", or a list of them" if self.many else ""),
             )  # fmt: skip
         if isinstance(value, Collection):  # an iterator is checked as it is used

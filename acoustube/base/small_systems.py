@@ -24,7 +24,7 @@ def solve(matrix: jax.Array, right: jax.Array) -> jax.Array:
     Returns
     -------
     ndarray
-        (..., n, m); nan where a matrix is not positive definite.
+        (..., n, m); nan or infinite where a matrix is not positive definite.
     """
     n = matrix.shape[-1]
     lower: dict[tuple[int, int], jax.Array] = {}

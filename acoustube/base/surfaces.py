@@ -32,7 +32,7 @@ def load(path: Path) -> trimesh.Trimesh:
     check_surface(path)
     check_file(path, "surface")
     kind = path.suffix.lower()[1:]
-    with reading(path, "cannot be read as a surface", "use STL, PLY, OBJ or VTP."):
+    with reading(path, "cannot be read as a surface", "use STL, PLY, OBJ or VTP"):
         if kind == "vtp":
             found = {label["name"]: value for label, value in child.read("vtp", path, "surface")}
             surface = trimesh.Trimesh(found["points"], found["faces"])
@@ -43,12 +43,12 @@ def load(path: Path) -> trimesh.Trimesh:
             with path.open("rb") as file:
                 surface = trimesh.load_mesh(file, file_type=kind, skip_materials=True)
     if not isinstance(surface, trimesh.Trimesh) or not len(surface.faces):
-        raise ConfigError(f"{path} holds no triangles; export it as one surface.")
+        raise ConfigError(f"{path} holds no triangles; export it as one surface")
     farthest = float(np.abs(surface.vertices).max())
     if not farthest <= FARTHEST:  # so that nan fails too
         raise ConfigError(
-            f"{path} reaches {farthest:.3g} from the origin, and its numbers lose their digits "
-            f"beyond {FARTHEST:g}; give it in mm, and move it to the origin."
+            f"{path} reaches {farthest:.3g} mm from the origin, more than the limit of "
+            f"{FARTHEST:g} mm; give it in mm, and move it to the origin"
         )
     surface.merge_vertices(merge_tex=True, merge_norm=True)
     return surface
@@ -61,18 +61,18 @@ def check_closed(surface: trimesh.Trimesh, path: Path) -> None:
     if lone:
         raise ConfigError(
             f"{path}: the surface is not closed: {lone} edges belong to one facet only and "
-            f"{shared} to more than two; repair it, or export it as a solid."
+            f"{shared} to more than two; repair it, or export it as a solid"
         )
     if shared:
         raise ConfigError(
             f"{path}: the surface touches itself: {shared} edges belong to more than two facets; "
-            "leave a gap there, or export it as a solid."
+            "leave a gap there, or export it as a solid"
         )
     if not surface.is_winding_consistent:
-        raise ConfigError(f"{path}: some facets are inside out; unify their orientation.")
+        raise ConfigError(f"{path}: some facets are inside out; unify their orientation")
     n = len(np.unique(components(surface)))
     if n != 1:
-        raise ConfigError(f"{path} holds {n} separate bodies; export one alone.")
+        raise ConfigError(f"{path} holds {n} separate bodies; export one alone")
 
 
 def check_millimetres(surface: trimesh.Trimesh, path: Path) -> None:
@@ -81,7 +81,7 @@ def check_millimetres(surface: trimesh.Trimesh, path: Path) -> None:
     if longest < SHORTEST:
         raise ConfigError(
             f"{path} is {longest:.3g} mm long, which would be {MM * longest:.3g} mm if its "
-            "numbers were metres; give it in mm."
+            "numbers were metres; give it in mm"
         )
 
 
@@ -91,7 +91,7 @@ def check_crossings(surface: trimesh.Trimesh, path: Path) -> None:
     vertices = np.asfortranarray(surface.vertices / surface.extents.min())
     faces = surface.faces.astype(np.int32)
     if ipctk.has_intersections(ipctk.CollisionMesh(vertices, ipctk.edges(faces), faces), vertices):
-        raise ConfigError(f"{path}: the surface intersects itself; repair it.")
+        raise ConfigError(f"{path}: the surface intersects itself; repair it")
 
 
 def components(surface: trimesh.Trimesh) -> NDArray[np.int64]:
@@ -130,10 +130,10 @@ def read_lumen(path: str | Path) -> tuple[trimesh.Trimesh, float]:
     if surface.euler_number < 2:
         raise ConfigError(
             f"{path} has a hole through it, as the wall of a tube has; give the surface of the air "
-            "inside, or press the wall with acoustube indent --tube."
+            "inside, or press the wall with acoustube indent --tube"
         )
     if surface.volume < 0:
-        raise ConfigError(f"{path} is inside out; turn its facets so that they point outwards.")
+        raise ConfigError(f"{path} is inside out; turn its facets so that they point outwards")
     low, high = surface.bounds[:, 2]
     z = surface.triangles[..., 2]
     tolerance = 1e-4 * extents.min()
@@ -141,7 +141,7 @@ def read_lumen(path: str | Path) -> tuple[trimesh.Trimesh, float]:
     if extents[2] < extents[:2].max() or not all(cap.any() for cap in caps):
         raise ConfigError(
             f"{path} is {extents[0]:.3g} x {extents[1]:.3g} x {extents[2]:.3g} mm and does not lie "
-            "along z between two flat ends; turn it, and cut its ends square."
+            "along z between two flat ends; turn it, and cut its ends square"
         )
     check_crossings(surface, path)
     surface.apply_translation([0.0, 0.0, -low])

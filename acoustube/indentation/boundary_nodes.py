@@ -185,8 +185,8 @@ def _inner_and_outer(faces: Index, points: Array) -> tuple[Index, Index]:
     n, part = connected_components(edges_of @ edges_of.T, directed=False)
     if n != 2:
         raise ConfigError(
-            f"The meshed wall has {n} separate sides, not an inner and an outer one; repair thin "
-            "or damaged places of the surface, or ask for shorter edges."
+            f"the meshed wall has {n} separate sides, not an inner and an outer one; repair thin "
+            "or damaged places of the surface, or choose shorter edges (from Python)"
         )
     outer = part[np.argmax(points[faces, 1].max(axis=1))]
     return faces[part != outer], faces[part == outer]

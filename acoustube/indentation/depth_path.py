@@ -23,7 +23,6 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
-from acoustube.base.units import MM
 from acoustube.indentation.result import RESULTS, Indentation
 
 FEWEST_ROWS = 5
@@ -54,12 +53,12 @@ class DepthPath:
     Parameters
     ----------
     indentation : Indentation
-        With at least five rows, first contact among them.
+        With at least five rows, the first of them at first contact (depth 0).
 
     Raises
     ------
     ConfigError
-        If there are fewer rows.
+        If there are fewer rows, or the first is not at first contact.
 
     Notes
     -----
@@ -70,12 +69,18 @@ class DepthPath:
     indentation: Indentation
 
     def __post_init__(self) -> None:
-        """Check the number of rows."""
+        """Check the number of rows, and the depth of the first."""
         rows = len(self.indentation.depth)
         if rows < FEWEST_ROWS:
             raise ConfigError(
                 f"indentation has {rows} rows, too few to interpolate between; press to at least "
-                f"{FEWEST_ROWS - 1} depths."
+                f"{FEWEST_ROWS - 1} depths"
+            )
+        first = float(self.indentation.depth[0])
+        if first != 0:
+            raise ConfigError(
+                f"indentation begins at a depth of {first:.6g} m, not at first contact; keep its "
+                "row of depth 0"
             )
 
     def displacement(self, depth: ArrayLike, derivative: int = 0) -> Array:
@@ -139,21 +144,22 @@ class DepthPath:
         """
         depth = np.atleast_1d(self._checked(depth))
         if depth.ndim > 1 or np.any(np.diff(depth) <= 0):
-            raise ConfigError("depth must be a 1-D array of increasing numbers.")
+            raise ConfigError("depth must be a 1-D array of increasing numbers")
         given = self.indentation
         others: dict[str, Any] = {
             name: PchipInterpolator(given.depth, getattr(given, name))(depth)
             for name in RESULTS
             if name not in _SOLVED and name != "smallest_gap"
         }
-        # Without the first row, whose gap is nan if it is from `first_touch`.
-        gap = PchipInterpolator(given.depth[1:], given.smallest_gap[1:])
+        # The first row's gap is nan if it is from `first_touch`.
+        start = int(np.isnan(given.smallest_gap[0]))
+        gap = PchipInterpolator(given.depth[start:], given.smallest_gap[start:])
         return dataclasses.replace(
             given,
             depth=depth,
             displacement=self.displacement(depth),
             press_force=self.press_force(depth),
-            smallest_gap=gap(np.maximum(depth, given.depth[1])),
+            smallest_gap=gap(np.maximum(depth, given.depth[start])),
             iterations=np.zeros(len(depth), int),
             residual=np.full(len(depth), np.nan),
             **others,
@@ -218,8 +224,8 @@ class DepthPath:
         outside = found[~((found >= 0) & (found <= last * (1 + 1e-9)))]
         if outside.size:
             raise ConfigError(
-                f"is not between first contact and the last depth, {MM * last:.4g} mm",
-                setting="depth", value=float(outside.flat[0]), unit="m", allowed=(0.0, last),
-                advice="press deeper",
+                f"is not between 0 and {last:.4g} m, the last depth", setting="depth",
+                value=float(outside.flat[0]), unit="m", allowed=(0.0, last),
+                advice="use a depth in this range, or press deeper",
             )  # fmt: skip
         return np.minimum(found, last)

@@ -54,7 +54,7 @@ class Design(NamedTuple):
     wall_thickness, inner_diameter : float
         Of the tube, in m.
     indenter_diameter : float
-        In m.
+        In m; at constant edge radius of a punch if that was given.
     """
 
     shear_modulus: Any
@@ -121,9 +121,9 @@ def derivatives(indentation: Indentation, increment: int = -1) -> Derivatives:
             solve = linear_solver.factorise(lower, model.analysis)
         except LinAlgError as error:
             raise SimulationError(
-                "The press cannot be differentiated at a depth of "
+                "the press cannot be differentiated at a depth of "
                 f"{MM * indentation.depth[increment]:.3f} mm: the tangent stiffness is not "
-                "positive definite (buckling); choose another depth."
+                "positive definite (buckling); choose another depth"
             ) from error
         residual_derivative = _residual_derivative(
             indentation, model, problem, displacement, design
@@ -146,14 +146,14 @@ def _check_differentiable(indentation: Indentation) -> None:
     mesh, indenters = indentation.mesh, indentation.indenters
     if mesh.sweep is None or not mesh.halved[1] or len(indenters) != 1:
         raise ConfigError(
-            "Only a press of a round tube by one indenter at z = 0 can be differentiated; it must "
-            "be symmetric about z = 0."
+            "only a press of a round tube by one indenter at z = 0 can be differentiated; it must "
+            "be symmetric about z = 0"
         )
     material, own = indentation.material, neo_hookean_wall(indentation.tube)
     if material.isochoric.func is not neo_hookean or not (
         material.isochoric.args == own.isochoric.args and material.bulk_modulus == own.bulk_modulus
     ):
-        raise ConfigError("Only a Neo-Hookean wall with the tube's moduli can be differentiated.")
+        raise ConfigError("only a Neo-Hookean wall with the tube's moduli can be differentiated")
 
 
 def _design(indentation: Indentation) -> Design:

@@ -32,6 +32,8 @@ TOUCH_STEPS = 65
 """Number of heights, from the tube's top to its bottom, at which first contact is searched for."""
 PUNCH_EDGE = 0.1
 """Default edge radius of a punch, as a fraction of its radius."""
+LARGEST_YAW = 1.0472
+"""Largest yaw of a rod in rad: pi/3, rounded up to the digits that messages show."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +74,7 @@ class Indenter:
     def __post_init__(self) -> None:
         check_fields(
             self, shape=Choice(SHAPES), diameter=LENGTH, x=PLACE, z=PLACE,
-            yaw=Number(-np.pi / 3, np.pi / 3, "rad", "a rod must lie across the tube"),
+            yaw=Number(-LARGEST_YAW, LARGEST_YAW, "rad", "a rod must lie across the tube"),
             edge_radius=Optional(LENGTH), depth_fraction=Number(1e-6, 1),
         )  # fmt: skip
         if self.edge > self.diameter / 2:
@@ -99,7 +101,8 @@ class Indenter:
         Parameters
         ----------
         diameter : float, optional
-            Another diameter in m; a JAX value where results are differentiated.
+            Another diameter in m; a JAX value where results are differentiated. The default edge
+            radius of a punch is proportional to it; a given one stays the same.
         """
         d = np.float64(self.diameter) if diameter is None else diameter
         x, z = np.float64(self.x), np.float64(self.z)
@@ -107,7 +110,8 @@ class Indenter:
             return Partial(contact.rod_gap, d / 2, x, z, np.float64(self.yaw))
         if self.shape == "sphere":
             return Partial(contact.sphere_gap, d / 2, x, z)
-        return Partial(contact.punch_gap, d / 2, d * (self.edge / self.diameter), x, z)
+        edge = PUNCH_EDGE * d / 2 if self.edge_radius is None else np.float64(self.edge_radius)
+        return Partial(contact.punch_gap, d / 2, edge, x, z)
 
 
 Press = Indenter
@@ -213,6 +217,6 @@ def touch_height(points: Array, gap: Partial) -> float:
         if nearest(below) < 0:
             return float(brentq(nearest, below, above, xtol=1e-15))
     raise ConfigError(
-        "The indenter misses the tube: its offset is too large for its size; reduce the offset or "
-        "use a larger indenter."
+        "the indenter misses the tube: its offset is too large for its size; reduce the offset or "
+        "use a larger indenter"
     )

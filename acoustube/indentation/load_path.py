@@ -300,11 +300,11 @@ def _failed(
 ) -> PressError:
     """Return the error of a press whose increment failed, with the increments converged so far."""
     reached = int(np.isin(targets, [each.depth for each in done]).sum())
-    count = f"{reached} of the {len(targets)} depths were reached. " if len(targets) > 1 else ""
+    count = f"; {reached} of the {len(targets)} depths were reached" if len(targets) > 1 else ""
     return PressError(
-        f"The indentation stopped at a depth of {MM * done[-1].depth:.2f} mm of "
-        f"{MM * targets[-1]:.2f} mm: {last.reason} (residual force {last.residual:.1e} N). "
-        f"{count}Reduce the depth, use a larger indenter, or refine the mesh (from Python).",
+        f"the indentation stopped at a depth of {MM * done[-1].depth:.2f} mm of "
+        f"{MM * targets[-1]:.2f} mm: {last.reason} (residual force {last.residual:.1e} N)"
+        f"{count}; reduce the depth, use a larger indenter, or refine the mesh (from Python)",
         _gathered(untouched, done),
     )
 

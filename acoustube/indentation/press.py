@@ -110,8 +110,8 @@ def indent(
     Raises
     ------
     ConfigError
-        If the depth, the support or the layer is outside the model's range, or an indenter misses
-        the tube.
+        If the depth, the support or the layer is outside the model's range, an indenter misses the
+        tube, or a given mesh is a half where the whole tube must be modelled.
     PressError
         If an increment does not converge however small it is. It states the depth reached, and
         holds the increments up to there.
@@ -312,17 +312,22 @@ def deepest_press(tube: Tube, layer: Layer | None = None) -> float:
 
 def _check_range(tube: Tube, depths: Array, support: str, layer: Layer | None) -> None:
     """Raise if the depths, the support or the layer are outside the model's range."""
+    if depths.ndim > 1:
+        raise ConfigError(
+            f"depth has shape {depths.shape}; give a number, or a 1-D array of increasing numbers"
+        )
     deepest = deepest_press(tube, layer)
+    deepest = max(deepest, float(f"{deepest:.6g}"))  # as the message states it
     if not (depths.size and np.all(np.diff(depths, prepend=0.0) > 0)):
         shown = ", ".join(f"{depth:.6g}" for depth in depths[:5]) + ", ..." * (len(depths) > 5)
-        raise ConfigError(f"depth = {shown} m must be one or more positive, increasing depths.")
+        raise ConfigError(f"depth = {shown} m must be one or more positive, increasing depths")
     if not depths[-1] <= deepest * (1 + 1e-9):
         raise ConfigError(
-            f"depth = {depths[-1]:.6g} m is beyond half a wall thickness after the bore has "
-            f"closed{' and the layer is flat' * (layer is not None)}; use at most {deepest:.6g}."
+            f"depth = {depths[-1]:.6g} m is beyond a closed lumen by more than half a wall"
+            f"{' and the layer' * (layer is not None)}; use at most {deepest:.6g} m"
         )
     if layer is not None and support == "held":
-        raise ConfigError("support = 'held' needs a rigid floor; use 'free' on an elastic layer.")
+        raise ConfigError("support = 'held' needs a rigid floor; use 'free' on an elastic layer")
 
 
 def _check_clearance(untouched: Indentation, depth: float) -> None:
@@ -335,7 +340,7 @@ def _check_clearance(untouched: Indentation, depth: float) -> None:
             raise ConfigError(
                 f"depth = {depth:.6g} m pushes the {indenter.shape} at x = {indenter.x:.6g} m into "
                 f"the floor, which is {clearance:.6g} m below first touch; reduce the depth or the "
-                "offset."
+                "offset"
             )
 
 
@@ -343,12 +348,19 @@ def _mesh(
     tube: Tube, indenters: Sequence[Indenter], mesh: Mesh | MeshSize | None, whole: bool
 ) -> Mesh:
     """Return the given mesh, or mesh the smallest part of the tube that symmetry allows."""
+    x, z = (all(tool.halves[i] for tool in indenters) and not whole for i in (0, 1))
     if isinstance(mesh, Mesh):
+        for axis, half, allowed in zip("xz", mesh.halved, (x, z), strict=True):
+            if half and not allowed:
+                reason = "whole = True" if whole else f"an indenter not symmetric about {axis} = 0"
+                raise ConfigError(
+                    f"mesh has the half {axis} >= 0 of the tube only, which does not fit {reason}; "
+                    "give a mesh of both halves"
+                )
         return mesh
     reach = max(
         pressed_reach(tube.outer_diameter, tool.diameter) + abs(tool.z) for tool in indenters
     )
-    x, z = (all(tool.halves[i] for tool in indenters) and not whole for i in (0, 1))
     return sweep(tube, reach, mesh, halved=(x, z), presses=[tool.z for tool in indenters])
 
 

@@ -315,13 +315,14 @@ def gap_at_pressure(pressure: float, distance: float, shear_modulus: float) -> f
     area, with the gap r over d_hat and the barrier's stiffness K. The area weights of the pairs of
     triangles make the pressure of a mesh up to 1.5 times as high.
     """
+    scaled = max(pressure, 0.0) / (BARRIER_STIFFNESS * shear_modulus)
 
     def excess(r: float) -> float:
         square = r**2 - 1
-        slope = 4 * r * square * np.log(r**2) + 2 * square**2 / r
-        return float(BARRIER_STIFFNESS * shear_modulus * slope - pressure)
+        return float(4 * r * square * np.log(r**2) + 2 * square**2 / r - scaled)
 
-    return float(distance * brentq(excess, 1e-6, 1.0)) if pressure > 0 else distance
+    root = 2 / scaled if scaled > 1e6 else brentq(excess, 1e-6, 1.0)  # its last term, to 1e-10
+    return float(distance * root)
 
 
 def _collision_mesh(rest: Array, faces: Index) -> Any:

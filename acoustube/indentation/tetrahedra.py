@@ -47,7 +47,9 @@ import numpy as np
 import trimesh
 
 from acoustube.base import moved
+from acoustube.base.checks import check_fields
 from acoustube.base.errors import ConfigError, SimulationError
+from acoustube.base.rules import Number
 from acoustube.base.types import Array, Index
 from acoustube.base.units import PERCENT
 from acoustube.indentation.boundary_nodes import ENVELOPE, Plane, jacobians, quadratic
@@ -98,12 +100,27 @@ class TetrahedronSize:
     near, far : float
         Distances from the indenter between which the edges grow from `fine` to `coarse`, in outer
         heights of the tube.
+
+    Raises
+    ------
+    ConfigError
+        If an edge length is not positive, a distance is negative, or `near` is not below `far`.
     """
 
     fine: float = 0.65
     coarse: float = 1.8
     near: float = 1.0
     far: float = 3.0
+
+    def __post_init__(self) -> None:
+        """Check the ranges and the order of the distances."""
+        edge, distance = Number(1e-2, 1e3, "wall thicknesses"), Number(0, 1e6, "outer heights")
+        check_fields(self, fine=edge, coarse=edge, near=distance, far=distance)
+        if self.near >= self.far:
+            raise ConfigError(
+                f"is not below far = {self.far:g}", setting="near", value=self.near,
+                advice="use a smaller one",
+            )  # fmt: skip
 
 
 def tetrahedral_mesh(
@@ -148,8 +165,9 @@ def tetrahedral_mesh(
     whole = separate_walls(surface)
     if not 0 < reach <= (1 + 1e-9) * surface.extents[2] / 2:
         raise ConfigError(
-            f"reach = {reach:.6g} m is outside 0 to {surface.extents[2] / 2:.6g} m, half the "
-            "length of the surface; use a longer tube."
+            f"reach = {reach:.6g} m, the length of tube that the press takes on each side, is not "
+            f"between 0 and {surface.extents[2] / 2:.6g} m, half the length of the surface; use a "
+            "longer tube"
         )
     both = [Plane(2, -reach, 1), Plane(2, reach, -1)]
     symmetric = symmetries(_cut(surface, both), halved, SYMMETRY_TOLERANCE * whole.thickness)
@@ -169,8 +187,8 @@ def tetrahedral_mesh(
             break
     if best is None:
         raise ConfigError(
-            f"The wall could not be filled with well-shaped tetrahedra in {ATTEMPTS} attempts; "
-            "repair the surface, or choose other edge lengths."
+            f"the wall could not be filled with well-shaped tetrahedra in {ATTEMPTS} attempts; "
+            "repair the surface, or choose other edge lengths (from Python)"
         )
     _check_volume(best.points, best.elements, piece)
     if least > MAX_OFF_SURFACE and note is not None:
@@ -295,8 +313,9 @@ def _check_volume(points: Array, elements: Index, piece: trimesh.Trimesh) -> Non
     volume = float(np.sum(at_points @ TET10.weights))
     if abs(volume - piece.volume) > VOLUME_TOLERANCE * piece.volume:
         raise ConfigError(
-            f"The mesh has {PERCENT * volume / piece.volume:.1f} % of the wall's volume: parts of "
-            "the surface were lost; repair thin or damaged places, or choose shorter edges."
+            f"the mesh has {PERCENT * volume / piece.volume:.1f} % of the wall's volume: parts of "
+            "the surface were lost; repair thin or damaged places, or choose shorter edges (from "
+            "Python)"
         )
 
 

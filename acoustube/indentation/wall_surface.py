@@ -56,7 +56,7 @@ def separate_walls(surface: trimesh.Trimesh, name: str = "surface") -> Walls:
         raise ConfigError(
             f"{name} is not a tube along z: between flat ends it has {parts.max() + 1} separate "
             "walls, not an inner and an outer one; turn it so that it lies along z, and cut its "
-            "ends square."
+            "ends square"
         )
     inner, outer = sorted(
         (_part(sides, parts == i) for i in (0, 1)), key=lambda wall: float(wall.extents[0])
@@ -99,7 +99,7 @@ def tube_of(surface: trimesh.Trimesh, *, shear_modulus: float, poisson_ratio: fl
     (x0, x1), (y0, y1) = ring[..., 0].T, ring[..., 1].T
     crossing = (np.minimum(x0, x1) <= 0) & (np.maximum(x0, x1) >= 0) & (x0 != x1)
     if not crossing.any():
-        raise ConfigError("x = 0 misses the bore at mid-length; centre the tube on the z axis.")
+        raise ConfigError("x = 0 misses the bore at mid-length; centre the tube on the z axis")
     heights = (y0 - x0 * (y1 - y0) / np.where(crossing, x1 - x0, 1.0))[crossing]
     return Tube(
         inner_diameter=float(np.ptp(heights)),
@@ -173,17 +173,18 @@ def check_thickness(piece: trimesh.Trimesh, whole: Walls, edge: Array) -> None:
     least = np.linalg.norm(closest(whole.outer, inside) - inside, axis=1).min()
     if least < MIN_THICKNESS * whole.thickness:
         raise ConfigError(
-            f"The wall is {MM * least:.3g} mm thick at its thinnest place, under a quarter of its "
+            f"the wall is {MM * least:.3g} mm thick at its thinnest place, under a quarter of its "
             f"mean of {MM * whole.thickness:.3g} mm, and cannot be meshed; make it at least "
-            f"{MM * MIN_THICKNESS * whole.thickness:.3g} mm there."
+            f"{MM * MIN_THICKNESS * whole.thickness:.3g} mm there"
         )
     count = piece.volume * np.mean(1 / edge**3) / TETRAHEDRON_VOLUME
     if count > MAX_TETRAHEDRA:
         needed = whole.thickness * np.sqrt(count / MAX_TETRAHEDRA)
         raise ConfigError(
-            f"The wall, {MM * whole.thickness:.3g} mm thick in the mean, is too thin for its "
+            f"the wall, {MM * whole.thickness:.3g} mm thick in the mean, is too thin for its "
             f"size: it would need {count:.0f} tetrahedra, {MAX_TETRAHEDRA} are allowed; make it "
-            f"about {MM * needed:.2g} mm, model a shorter piece, or ask for longer edges."
+            f"about {MM * needed:.2g} mm, model a shorter piece, or choose longer edges (from "
+            "Python)"
         )
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
+from math import ceil, floor
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.units import CM, CM2, MM
@@ -19,6 +21,8 @@ from acoustube.sleeve.arm_fit import Arm
 COLUMNS = (
     "tube", "distance_cm", "x_mm", "y_mm", "z_mm", "along_cm", "angle_deg", "loop", "heard",
 )  # fmt: skip
+ROUNDING = 1e-9
+"""Error of distances in m by rounding."""
 
 
 def fit_in_words(path: Path, axis: str, markers: Markers, arm: Arm) -> list[str]:
@@ -113,23 +117,41 @@ def contact_in_words(tubes: Sequence[Helix], found: Layout, contact: tuple[int, 
         )
     tube = tubes[number]
     near, far = found.detection_range[number]
-    if not near <= distance <= far:
+    if not near - ROUNDING <= distance <= far + ROUNDING:
+        least, most = ceil(1e4 * (near - ROUNDING)), floor(1e4 * (far + ROUNDING))
         raise ConfigError(
             f"distance = {CM * distance:g} cm is outside the range of tube {number + 1}; "
-            f"use {CM * near:.4g} to {CM * far:.4g} cm"
+            f"use {least / 100:g} to {most / 100:g} cm"
         )
+    distance = min(max(distance, near), far)
     z = float(tube.height(distance))
     x, y, height = MM * tube.place(distance)
     along = found.deviation / float(tube.density(z))
     around = np.degrees(abs(tube.twist) * along)
-    beside = nearest(tubes, tube.place(distance))
     return (
         f"contact at {CM * distance:g} cm on tube {number + 1}: x {x:.1f}, y {y:.1f}, z "
         f"{height:.1f} mm, {CM * z:.1f} cm along the arm, {np.degrees(tube.angle(z)) % 360:.0f} "
-        f"degrees, loop {int(z / tube.pitch) + 1}; ± {MM * found.deviation:g} mm along the tube "
-        f"is ± {MM * along:.1f} mm along the arm and {around:.0f} degrees around it; the next "
-        f"loop, of tube {int(beside.next_tube) + 1}, is {MM * float(beside.next_gap):.0f} mm "
-        f"away, where it reads {CM * float(beside.next_distance):.0f} cm"
+        f"degrees, loop {int(_loop(tube, z))}; ± {MM * found.deviation:g} mm along the tube "
+        f"is ± {MM * along:.1f} mm along the arm and {around:.0f} degrees around it; "
+        + _next_in_words(tubes, distance, number)
+    )
+
+
+def _loop(tube: Helix, z: ArrayLike) -> NDArray[np.int64]:
+    """Return the numbers of the loops at heights z in m, from 1; the end is on the last loop."""
+    loops = np.asarray(z) / tube.pitch
+    return np.minimum(loops.astype(int) + 1, int(np.ceil(tube.loops)))
+
+
+def _next_in_words(tubes: Sequence[Helix], distance: float, number: int) -> str:
+    """Return which loop is next to the one at a distance in m on a tube, counted from 0."""
+    beside = nearest(tubes, tubes[number].place(distance))
+    if not np.isfinite(beside.next_gap):
+        return "there is no other loop"
+    return (
+        f"the next loop, of tube {int(beside.next_tube) + 1}, is "
+        f"{MM * float(beside.next_gap):.0f} mm away, where it reads "
+        f"{CM * float(beside.next_distance):.0f} cm"
     )
 
 
@@ -154,11 +176,10 @@ def write_table(path: Path, tubes: Sequence[Helix], found: Layout, step: float) 
         end = tube.tube_length
         distance = np.append(np.arange(tube.lead, end - 1e-9, step), end)
         z = tube.height(distance)
-        loop = np.minimum((z / tube.pitch).astype(int) + 1, int(np.ceil(tube.loops)))
         angle = np.round(np.degrees(tube.angle(z)), 2) % 360
-        for row in zip(distance, tube.place(distance), z, angle, loop, strict=True):
+        for row in zip(distance, tube.place(distance), z, angle, _loop(tube, z), strict=True):
             at, place, along, turned, turn = row
-            detected = int(near - 1e-9 <= at <= far + 1e-9)
+            detected = int(near - ROUNDING <= at <= far + ROUNDING)
             cells = [f"{CM * at:.2f}", *(f"{MM * value:.3f}" for value in place)]
             table.writerow([number, *cells, f"{CM * along:.3f}", f"{turned:.2f}", turn, detected])
     write(path, text.getvalue())

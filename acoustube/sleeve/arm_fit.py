@@ -25,7 +25,7 @@ from scipy.stats import t as student
 
 from acoustube.base.checks import Reals, checked
 from acoustube.base.errors import ConfigError
-from acoustube.base.rules import Choice
+from acoustube.base.rules import Choice, Number
 from acoustube.base.types import Array
 from acoustube.base.units import CM, MM
 from acoustube.sleeve.helix import Frame
@@ -41,7 +41,7 @@ SMALLEST_DEVIATION = 0.2e-3
 RADIUS_RANGE = 0.01, 0.3
 """Plausible range of an arm's radius in m."""
 LENGTH_RANGE = 0.03, 1.5
-"""Plausible range of a marker column's length in m."""
+"""Plausible range of the length of an arm in m. Columns with outliers may be twice as long."""
 MIN_MARKERS = 3
 """Least number of markers per column: a line goes through any two."""
 
@@ -68,8 +68,9 @@ class Line:
     freedom: int
     deviation: float
 
+    @checked(confidence=Number(0, 1))
     def interval(self, confidence: float = 0.95) -> Array:
-        """Return the confidence intervals of a0 and a1, (2, 2): low and high of each."""
+        """Return the intervals of a0 and a1 at a confidence of 0 to 1, (2, 2): low and high."""
         half = student.ppf(0.5 + confidence / 2, self.freedom) * np.sqrt(np.diag(self.covariance))
         return np.array([self.radius, self.taper])[:, None] + half[:, None] * [-1.0, 1.0]
 
@@ -158,6 +159,7 @@ def _arm(first: Any, second: Any, used: list[Array], frame: Frame, lines: Any) -
     own = [frame.inwards(points) for points in used]
     heights = np.concatenate([points[:, 2] for points in own])
     start, end = float(heights.min()), float(heights.max())
+    _check_length(end - start)
     _check_along(own, end - start)
     shift = np.array([[1.0, start], [0.0, 1.0]])
     moved = tuple(
@@ -337,7 +339,7 @@ def _check_units(columns: list[Array]) -> None:
             factor = "mm read as m" if size > 2 * LENGTH_RANGE[1] else "m read as mm"
             raise ConfigError(
                 f"a column of markers is {size:.3g} m long, and {LENGTH_RANGE[0]:g} to "
-                f"{LENGTH_RANGE[1]:g} m fit an arm: is it {factor}? say so by --unit m, cm or mm"
+                f"{LENGTH_RANGE[1]:g} m fit an arm: is it {factor}? give unit (--unit) m, cm or mm"
             )
 
 
@@ -361,6 +363,15 @@ def _check_mixed(columns: list[Array], lines: list[tuple[Array, Array, float, Ke
                 f"of the {('first', 'second')[i]} column, marker {numbers} lies on the line of the "
                 "other: columns are swapped there; check which marker belongs to which column"
             )
+
+
+def _check_length(length: float) -> None:
+    """Raise if the markers without outliers do not extend over the length of an arm in m."""
+    if not LENGTH_RANGE[0] <= length <= LENGTH_RANGE[1]:
+        raise ConfigError(
+            f"the markers extend {length:.3g} m along the axis, and {LENGTH_RANGE[0]:g} to "
+            f"{LENGTH_RANGE[1]:g} m fit an arm; check their unit, and use those of the arm alone"
+        )
 
 
 def _check_along(own: list[Array], length: float) -> None:

@@ -31,8 +31,7 @@ With 10 instead, the scattering of a loop changes by 1.4e-3.
 LONGEST_PART = np.pi
 """Largest angle in rad about the arm over which curvature and torsion are taken as constant."""
 CLEARANCE = 1e-9
-"""Length in m of straight tube at either end of a bend, so that rounding does not make bends and
-presses overlap."""
+"""Length in m by which bends and presses end early, so that rounding does not make them overlap."""
 SHORTEST_BEND = 1e-3
 """Length of tube in m below which no bend is computed."""
 LONGEST_DELAY = 1.0
@@ -161,7 +160,7 @@ def windings(
         them is not on the helix, or the tube would kink.
     """
     at = np.asarray(places, float)
-    if np.any(np.diff(at) < 2 * reach):
+    if np.any(np.diff(at) < 2 * reach - CLEARANCE):
         raise ConfigError(
             f"presses at {', '.join(f'{CM * place:.4g}' for place in at)} cm are nearer to "
             f"each other than twice the reach, {2 * CM * reach:.3g} cm, or not in order; move them"
@@ -251,7 +250,8 @@ def between_bends(press: PlacedScatterer, reach: float) -> PlacedScatterer:
     whole = ModalScattering(
         frequency=matrix.frequency, modes=names, s=s, propagates=propagates,
         cut_ons=np.append(matrix.cut_ons, matrix.cut_ons[partners]),
-        sound_speed=matrix.sound_speed, extent=(-reach, reach), planes=matrix.planes,
+        sound_speed=matrix.sound_speed, extent=(CLEARANCE - reach, reach - CLEARANCE),
+        planes=matrix.planes,
     )  # fmt: skip
     return replace(press, scattering=whole)
 

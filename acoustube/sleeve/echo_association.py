@@ -30,8 +30,8 @@ def remove_ghost_echoes(places: ArrayLike, heights: ArrayLike) -> Array:
     Parameters
     ----------
     places, heights : array_like of shape (n,)
-        Distances in m and amplitudes in any unit of the candidate echoes of one sensor; nan where
-        there is no echo.
+        Distances in m and amplitudes in any unit of the candidate echoes of one sensor. Those with
+        a distance or an amplitude that is nan or infinite are left out.
 
     Returns
     -------
@@ -54,7 +54,9 @@ def remove_ghost_echoes(places: ArrayLike, heights: ArrayLike) -> Array:
     """
     check_alike(places=places, heights=heights)
     place, height = (np.asarray(values, float).ravel() for values in (places, heights))
-    order = np.argsort(place)[: np.count_nonzero(np.isfinite(place))]  # nan goes to the end
+    known = np.isfinite(place) & np.isfinite(height)
+    place, height = place[known], height[known]
+    order = np.argsort(place)
     place, height = place[order], height[order]
     near = np.abs(place[:, None] - place) < SIDE_LOBE_DISTANCE
     lobe = np.any(near & (height[:, None] < SIDE_LOBE_RATIO * height), axis=1)

@@ -119,7 +119,7 @@ class Helix:
         if not 0 <= self.lead < np.inf:
             raise ConfigError(
                 "must not be negative", setting="lead", value=self.lead, unit="m",
-                advice="0 stands for no lead",
+                advice="use 0 for no lead",
             )  # fmt: skip
         Choice(tuple(HANDS)).check("hand", self.hand)
 
@@ -327,7 +327,7 @@ def nearest(tubes: Sequence[Helix], places: ArrayLike) -> Nearest:
     first = number[best[..., 0]]
     distance = np.take_along_axis(along, best, -1)
     # Feet of perpendiculars that were clipped to the same end of a tube are not another loop.
-    half_a_loop = np.array([0.5 * tube.tube_length / (tube.loops + 1) for tube in tubes])
+    half_a_loop = np.array([0.5 * tube.table[1, -1] / (tube.loops + 1) for tube in tubes])
     same = (number == first[..., None]) & (np.abs(along - distance) < half_a_loop[first][..., None])
     others = np.where(same | np.isnan(gap), np.inf, gap)
     second = np.argmin(others, axis=-1)[..., None]

@@ -7,8 +7,9 @@ Localization and Force Sensing.
 from __future__ import annotations
 
 import warnings
+from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 
 import numpy as np
@@ -214,7 +215,7 @@ def design(
         its lead is longer than the reach, or the tubes do not fit side by side.
     """
     if (loops is None) == (pitch is None):
-        raise ConfigError("a layout needs loops or a pitch, one of the two; give --loops 9, say")
+        raise ConfigError("a layout needs loops or a pitch; give one of them, such as loops = 9")
     if pitch is not None:
         if not 0 < pitch <= 4 * length:
             raise ConfigError(
@@ -245,14 +246,20 @@ def check_reach(tubes: Sequence[Helix], reach: float) -> None:
     """Raise ConfigError if a tube with its lead is longer than the sensor's reach in m."""
     longest = max(tubes, key=lambda tube: tube.tube_length)
     if longest.tube_length > reach:
-        fitting = longest.loops * (reach - longest.lead) / (longest.tube_length - longest.lead)
-        advice = f"use {fitting:.2g} loops or fewer" if fitting > 0.1 else "shorten the lead"
+        fitting = _most_loops(longest, reach)
+        advice = f"use {fitting:g} loops or fewer" if fitting > 0.1 else "shorten the lead"
         raise ConfigError(
             f"loops = {longest.loops:.4g} over a length of {CM * longest.length:.4g} cm and a lead "
             f"of {CM * longest.lead:.4g} cm needs a tube of {CM * longest.tube_length:.0f} cm, and "
-            f"presses are detected up to {CM * reach:.0f} cm; {advice}, on more tubes, or set the "
-            "reach"
+            f"presses are detected up to {CM * reach:.0f} cm; {advice}, use more tubes, or raise "
+            "the reach"
         )
+
+
+def _most_loops(tube: Helix, longest: float) -> float:
+    """Return the largest number of loops, in tenths, with a tube of at most `longest` m."""
+    tenths = range(1, int(10 * tube.loops) + 1)
+    return bisect_right(tenths, longest, key=lambda n: replace(tube, loops=n / 10).tube_length) / 10
 
 
 @checked(tubes=Several(Helix, 1), outer_diameter=LENGTH)

@@ -28,6 +28,9 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
 
+TIME = Number(-1e12, 1e12, "s")
+"""Rule for the time of a cycle, which may be that of a clock."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrackingSettings:
@@ -142,8 +145,10 @@ class ContactTracker:
         Raises
         ------
         ConfigError
-            If the time does not increase, or the far end has candidates and no length was given.
+            If the time is not finite or does not increase, or the far end has candidates and no
+            length was given.
         """
+        time = check_argument("time", time, TIME)
         near, far = (_candidates(values) for values in (near, far))
         if len(far) and self.length is None:
             raise ConfigError("far candidates need the length between the sensors; give length")

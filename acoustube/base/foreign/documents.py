@@ -44,7 +44,7 @@ def read_document(path: str | Path, kind: str = ".toml") -> dict[str, Any]:
     found = parsed(text, path, kind)
     if not isinstance(found, dict):
         raise ConfigError(
-            f"{path} is not valid {name}: it is not a table of names and values; add them"
+            f"{path} is not a table of names and values in {name}; give settings as such a table"
         )
     return found
 

@@ -35,7 +35,7 @@ SECONDS, BYTES_PER_SECOND = 3.0, 2e6
 """Largest processor time in s of a reader in a child process: SECONDS plus the file's size in bytes
 over BYTES_PER_SECOND, times :func:`factor`."""
 VARIABLE = "ACOUSTUBE_LIMITS"
-RAISE = "give --limits FACTOR to raise the limits"
+RAISE = f"give --limits FACTOR, or set {VARIABLE} = FACTOR, to raise the limits"
 """What to do about a file that exceeds a limit."""
 
 OF_CONTENT = (

@@ -160,7 +160,7 @@ def survey(path: str, most: int) -> Iterator[Entry]:
             if item.chunks is None:
                 item[()]
             elif prod(item.chunks) * item.dtype.itemsize > BLOCK:
-                raise Exceeded(f"has chunks of over {BLOCK / 1e6:g} MB, the limit")
+                raise ValueError(f"it has chunks of over {BLOCK / 1e6:.0f} MB, the limit")
             else:
                 for part in item.iter_chunks():
                     item[part]

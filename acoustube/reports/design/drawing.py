@@ -6,6 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
+from acoustube.base.report import counted
 from acoustube.base.units import KHZ, MM, US
 from acoustube.ranging import Burst, Chirp
 from acoustube.runs.config.goal import DesignGoal
@@ -115,7 +116,7 @@ def _words(candidate: Candidate) -> str:
         pulse = f"chirp {KHZ * low:.2f} to {KHZ * high:.2f} kHz, {lasting}"
     return (
         f"{band}; {pulse};\n{r.bits} bits at {KHZ * r.sampling_rate:g} kHz, "
-        f"{r.n_samples} samples a cycle; {candidate.ends} rangefinder(s)"
+        f"{r.n_samples} samples a cycle; {counted(candidate.ends, 'rangefinder')}"
     )
 
 

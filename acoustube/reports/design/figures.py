@@ -42,7 +42,7 @@ def front_figure(
         axes.plot(x, y, "o", mfc="none", mec="#c1443c", ms=10)
         axes.annotate(name, (x, y), xytext=(8, 8 + 12 * i), textcoords="offset points", fontsize=9,
                       arrowprops={"arrowstyle": "-", "lw": 0.5})  # fmt: skip
-    axes.axvline(reach, color="#777777", ls=":", lw=1, label="reach asked for")
+    axes.axvline(reach, color="#777777", ls=":", lw=1, label="required reach")
     axes.set_yscale("log")
     for which in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
         which("{x:g}")

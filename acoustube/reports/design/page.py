@@ -93,8 +93,9 @@ def _ranges(one: Recommended) -> str:
         for name, (low, high) in one.ranges.items()
     )
     return (
-        "<h3>Parts</h3><p>One at a time, each with its own calibration; within these the error of "
-        "force grows by a tenth at most, the goal&#8217;s demands counted with it.</p><table>"
+        "<h3>Parts</h3><p>One at a time, each with its own calibration; within these ranges the "
+        "error of force, with penalties where the goal is missed, grows by a tenth at most.</p>"
+        "<table>"
         f"<tr><th>part</th><th>from</th><th>to</th></tr>{rows}</table>"
     )
 

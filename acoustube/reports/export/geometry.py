@@ -12,6 +12,7 @@ import trimesh
 import xarray as xr
 
 from acoustube.base.errors import ConfigError, SimulationError
+from acoustube.base.report import counted
 from acoustube.base.types import Array, Index
 from acoustube.base.units import MM, MM2
 from acoustube.base.writing import write
@@ -127,12 +128,12 @@ def write_swept(files: Sequence[Path], folder: Path, suffix: str) -> str:
     if not rows:
         where = files[0].parent if files[1:] else files[0]
         raise ConfigError(
-            f"{where}: no walls: no case is pressed, or an earlier version "
-            "wrote the sweep; sweep into a new folder, which stores the presses"
+            f"{where} holds no walls of a pressed tube: no case is pressed, or an earlier version "
+            "wrote the sweep; repeat the sweep in a new folder"
         )
     write(folder / "lumens.csv", pd.DataFrame(rows).to_csv(index=False))
     write(folder / "README.txt", TEXT.format(what=f"{SWEPT} {STRAIGHTENED}"))
-    return f"{count} lumens of {len(rows)} cases"
+    return f"{counted(count, 'lumen')} of {counted(len(rows), 'case')}"
 
 
 def lumens(run: xr.Dataset) -> tuple[list[trimesh.Trimesh], str]:

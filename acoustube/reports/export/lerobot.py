@@ -53,7 +53,8 @@ def write_episodes(data: xr.Dataset, folder: Path) -> str:
 
     Notes
     -----
-    ``observation.signal`` is the cycle as a fraction of half the ADC's full scale, -1 to 1;
+    ``observation.signal`` is the cycle as a fraction of half the ADC's full scale, -1 to 1, about
+    half that scale or, if samples are not quantised, about the sensor's offset;
     ``observation.temperature`` is the reported temperature in degC; ``action`` are the labels
     (:data:`ACTION`). Columns ``press``, ``tube`` and ``session`` of ``meta/episodes`` identify an
     episode, so that episodes can be split by them.
@@ -119,16 +120,25 @@ def _frames_per_second(data: xr.Dataset) -> int:
     return max(1, round(float(rangefinder.get("cycle_rate", 20.0))))
 
 
+def _middle(data: xr.Dataset) -> float:
+    """Return half the full scale in counts or, of samples not quantised, the sensor's offset."""
+    full_scale = float(data.attrs["full_scale"])
+    if data["signal"].dtype.kind != "f":
+        return 0.5 * full_scale
+    rangefinder = json.loads(data.attrs.get("rangefinder", "{}"))
+    return full_scale * rangefinder.get("offset", 0.0) / rangefinder.get("full_scale", 1.0)
+
+
 def _frames(data: xr.Dataset, table: pd.DataFrame, part: NDArray[np.int64]) -> Columns:
     """Return observations and labels, a row for each cycle."""
-    half = 0.5 * float(data.attrs["full_scale"])
+    half, middle = 0.5 * float(data.attrs["full_scale"]), _middle(data)
     rows = table.iloc[part]
     counts = data["signal"].isel(cycle=slice(part[0], part[-1] + 1)).values
     touched = rows["depth"].to_numpy() > 0
     labels = [touched, *(rows[name].to_numpy() for name in ("true_distance", "depth", "force"))]
     action = np.stack(labels, axis=-1).astype(np.float32)
     return {
-        "observation.signal": ((counts - half) / half).astype(np.float32),
+        "observation.signal": ((counts - middle) / half).astype(np.float32),
         "observation.temperature": rows["temperature"].to_numpy().astype(np.float32),
         "action": np.where(touched[:, None], action, np.float32(0)),
     }

@@ -19,10 +19,12 @@ TEXT = """\
 Cycles of a rangefinder, one WAV file for each press and session, its cycles one after the
 other.
 
-Samples are counts of the ADC less half its full scale, as 16-bit numbers at the ADC's own rate.
+{samples}, at the ADC's own rate.
 {labels} has a row for each cycle: its file, where it starts in samples, its length, and its labels
 in SI units and degC.
 """
+COUNTS = "Samples are counts of the ADC less half its full scale, as 16-bit numbers"
+UNQUANTISED = "Samples are counts of the ADC, not rounded, as 32-bit floating-point numbers"
 
 
 def write_sounds(data: xr.Dataset, folder: Path) -> str:
@@ -49,20 +51,25 @@ def write_sounds(data: xr.Dataset, folder: Path) -> str:
     table = labels(data)
     n, starts = data.sizes["time"], episodes(table)
     rate, middle = round(float(data.attrs["sampling_rate"])), int(data.attrs["full_scale"]) // 2
+    quantised = data["signal"].dtype.kind != "f"
     files = np.empty(len(table), object)
     offsets = np.empty(len(table), int)
     for number, part in enumerate(np.split(np.arange(len(table)), starts[1:])):
-        counts = data["signal"].isel(cycle=slice(part[0], part[-1] + 1)).values.astype(int)
+        counts = data["signal"].isel(cycle=slice(part[0], part[-1] + 1)).values
+        samples = counts.astype(np.float32)
+        if quantised:
+            samples = (counts.astype(int) - middle).astype(np.int16)
         file = f"{number:05d}-{table['press'].iloc[part[0]]}.wav"
         sound = io.BytesIO()
-        wavfile.write(sound, rate, (counts - middle).astype(np.int16).ravel())
+        wavfile.write(sound, rate, samples.ravel())
         write(folder / file, sound.getvalue())
         files[part], offsets[part] = file, np.arange(len(part)) * n
     table.insert(0, "file", files)
     table.insert(1, "start", offsets)
     table.insert(2, "length", n)
     write(folder / LABELS, table.to_parquet(index=False))
-    write(folder / "README.txt", TEXT.format(labels=LABELS))
+    samples_in_words = COUNTS if quantised else UNQUANTISED
+    write(folder / "README.txt", TEXT.format(samples=samples_in_words, labels=LABELS))
     return f"{len(table)} cycles in {len(starts)} files"
 
 

@@ -93,6 +93,6 @@ def check_parquet(what: str) -> None:
         import pyarrow  # noqa: F401
     except ImportError as error:
         raise ConfigError(
-            f"format = {what} needs the package pyarrow for Parquet; pip install "
-            "'acoustube[parquet]', or use --format csv"
+            f"format = {what} needs the package pyarrow; run pip install 'acoustube[parquet]', or "
+            "use format csv"
         ) from error

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
+from acoustube.base.report import counted
 from acoustube.base.sampling import sampling_rate
 from acoustube.base.units import CM, MM
 from acoustube.reports.figures.run import ENVELOPE, PRESS, RETURN, SEND, SIGNAL, label_amplitude
@@ -41,7 +42,7 @@ def draw_cycle(
     axes.plot(place, plain / loudest * top, color=SIGNAL, lw=0.6, label="signal, rectified, scaled")
     axes.plot(place, ranging.envelope, color=ENVELOPE, lw=1.2, label="envelope")
     at = CM * distance(echoes.times - ranging.send_time, temperature)
-    axes.plot(at, echoes.amplitudes, "o", color=PRESS, ms=3, label=f"{len(at)} peaks")
+    axes.plot(at, echoes.amplitudes, "o", color=PRESS, ms=3, label=counted(len(at), "peak"))
     if ranging.detected:
         axes.plot(
             CM * float(ranging.distance), float(ranging.amplitude), "v", color=RETURN,

@@ -19,6 +19,8 @@ MOST_TOOLS = 4
 """Largest number of indenters whose echoes are drawn."""
 FAINTEST = 1e-3
 """Lower end of the scale of echoes, as a fraction of the send pulse."""
+ROW = 1.0
+"""Height in mm of the row of echoes of an indenter with a single depth."""
 
 
 def figure(cases: xr.Dataset) -> Figure:
@@ -83,9 +85,11 @@ def draw_echoes(axes: Axes, cases: xr.Dataset) -> QuadMesh:
     place = rows[0][0]
     levels = np.maximum([np.interp(place, *row) for row in rows], FAINTEST)
     top = float(cases["tube_length"].values[0])
-    depth = MM * cases["depth"].values
+    depth = heights = MM * cases["depth"].values
+    if len(depth) == 1:  # rows extend halfway to their neighbours: a row alone would have no height
+        heights, levels = depth + ROW * np.array([-0.25, 0.25]), np.repeat(levels, 2, axis=0)
     image = axes.pcolormesh(
-        CM * place, depth, levels, norm=LogNorm(FAINTEST, 1.0), cmap="viridis", shading="nearest"
+        CM * place, heights, levels, norm=LogNorm(FAINTEST, 1.0), cmap="viridis", shading="nearest"
     )
     axes.axvline(CM * float(cases["true_distance"].values[0]), color="w", lw=0.8, ls=":")
     axes.plot(CM * cases["estimated_distance"].values, depth, "r.", ms=4)

@@ -140,11 +140,13 @@ def limited(groups: dict[Key, list[Found]]) -> tuple[dict[Key, list[Found]], lis
     count = sum(map(len, groups.values()))
     if count <= MOST_CASES:
         return groups, []
-    most = max(1, len(places) * MOST_CASES // count)
-    chosen = {places[i] for i in np.linspace(0, len(places) - 1, most).round().astype(int)}
-    kept = {key: cases for key, cases in groups.items() if key[1] in chosen}
-    left = sum(map(len, kept.values()))
-    if left > MOST_CASES:
+    for most in range(max(1, len(places) * MOST_CASES // count), 0, -1):
+        chosen = {places[i] for i in np.linspace(0, len(places) - 1, most).round().astype(int)}
+        kept = {key: cases for key, cases in groups.items() if key[1] in chosen}
+        left = sum(map(len, kept.values()))
+        if left <= MOST_CASES:
+            break
+    else:
         raise ConfigError(
             f"the sweep has {count} cases, {left} of them at one place, and a page holds "
             f"{MOST_CASES}; sweep fewer into a folder of their own (presses and scattering are "
@@ -298,6 +300,6 @@ def _missing(states: Sequence[State]) -> dict[str, str]:
         "signal": "",
         "spectrum": "An untouched tube reflects nothing."
         if any(state.spectrum for state in states)
-        else "These cases were marched as whole tubes, without a scattering matrix; leave method "
-        "as it is (scattering) to have the reflection over frequency.",
+        else "These cases were simulated as whole tubes, without a scattering matrix; use method "
+        "scattering, the default of a sweep, to have the reflection over frequency.",
     }

@@ -79,7 +79,7 @@ EchoTube is a rubber tube with the same kind of 42 kHz rangefinder, pressed by h
 closure reflects all, so the reach depends on the losses there and back and on the dynamic range of
 the sensor, which is taken from the bore of 8 mm alone.
 
-The widest was located beyond 390 cm, where its tube ended.
+In the widest bore, closures were located as far as the tube went, beyond 390 cm.
 
 In the dead zone a closure has no peak distinct from the ringing of the transducer, with the default
 rangefinder: a property of the transducer, whatever the bore.
@@ -178,9 +178,11 @@ def both(ranging: signals.Ranging, places: Sequence[float]) -> list[float]:
     found = []
     for place in places:
         near = np.abs(distance - place) < PEAK_TOLERANCE
-        heights = np.where(near, ranging.echoes.amplitudes, -1.0)
-        best = int(np.argmax(heights))
-        found.append(float(distance[best] - place) if near.any() else float("nan"))
+        if not near.any():
+            found.append(float("nan"))
+            continue
+        best = int(np.argmax(np.where(near, ranging.echoes.amplitudes, -1.0)))
+        found.append(float(distance[best] - place))
     return found
 
 

@@ -98,8 +98,8 @@ the dead zone, and that contacts are found only from about 2.5 mm near and 7 mm 
 
 The coarser level has every fifth place and five cycles of each press.
 
-The network learns force from the first dataset and is tried on the second, as published; so do the
-networks whose input is the whole echo, from a tenth of the cycles.
+The network is trained on the forces of the first dataset and tested on the second, as published; so
+are the networks whose input is the whole echo, with a tenth of the cycles.
 
 Waveform inversion is given five cycles of each press at every tenth position of the first dataset
 and at every third depth of the second, 200 cycles without contact, from which it learns the

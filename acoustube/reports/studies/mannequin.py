@@ -89,8 +89,8 @@ its places and five cycles of each press.
 
 Waveform inversion is given five cycles of each press, 200 cycles of the wrapped tube without
 contact, the shape of its helix, and a library of the rod at depths of its own. Its model has the
-modes of the bent tube, the recordings the bends in series, joined by all their modes. The
-rangefinder's parameters and the mean error of its thermometer are known to it.
+modes of the bent tube; the recordings are simulated with the bends in series, joined by all their
+modes. The rangefinder's parameters and the mean error of its thermometer are known to it.
 
 Unknown to the simulation: how the fabric stretches and narrows the tube, how much of a free tube's
 flattening it allows (the last rows state the effect of all of it), how the tubes differ, where the
