@@ -62,7 +62,7 @@ def test_run_is_checked_against_the_spectral_solver(finished, dataset):
     assert np.abs(apart).max() < 2e-3
     np.testing.assert_allclose(dataset["spectral_amplitude"], dataset["echo_amplitude"], rtol=0.1)
     assert float(dataset["spectral_error"]) < 1e-3
-    assert f"echo {1e3 * float(apart[0]):+.3f} mm from this one" in finished[0].stdout
+    assert f"echo displaced by {1e3 * float(apart[0]):+.3f} mm, height" in finished[0].stdout
 
 
 def test_every_variable_has_a_unit_and_a_name(dataset):

@@ -21,8 +21,8 @@ from acoustube.runs.config.si import settings_in_si
 from acoustube.runs.scattering_file import from_dataset
 from acoustube.runs.sweep import store
 from acoustube.runs.sweep.case_results import placed
-from acoustube.runs.sweep.cycles import Recipe, seed_of
-from acoustube.runs.sweep.dataset import rangefinder_in, run_dataset
+from acoustube.runs.sweep.cycles import Recipe, in_session, seed_of
+from acoustube.runs.sweep.dataset import _check_band, rangefinder_in, run_dataset
 from acoustube.runs.sweep.plan import load_plan
 from acoustube.runs.sweep.run import run_sweep
 from acoustube.runs.twin_sessions import recipe_settings
@@ -301,6 +301,47 @@ def test_rangefinder_is_read_from_a_file(tmp_path):
     path.write_text("noise = 0.001\n[drive]\ncycles = 8\n")
     found = rangefinder_of_file(path)
     assert (found.noise, found.drive.cycles, found.resonance) == (1e-3, 8.0, 42e3)
+
+
+def test_errors_of_the_thermometer_are_drawn_about_zero_for_either_sign():
+    for bias in (1.5, -1.5):
+        drawn = [
+            in_session(Rangefinder(temperature_bias=bias), seed, Recipe()).temperature_bias
+            for seed in range(40)
+        ]
+        assert max(map(abs, drawn)) < 1.5
+        assert abs(np.mean(drawn)) < 0.5
+        assert np.std(drawn) > 0.5
+    silent = Rangefinder(temperature_bias=0.0)
+    assert in_session(silent, 1, Recipe()).temperature_bias == 0.0
+
+
+def test_reflectors_of_a_recipe_may_be_an_array():
+    listed, array = (Recipe(reflectors=kind([1e-3, -2e-3])) for kind in (tuple, np.array))
+    assert listed.name == array.name
+
+
+def test_presses_of_a_whole_tube_are_not_recorded_as_untouched(tmp_path):
+    """A sweep with method = full stores no scattering matrix."""
+    for depth, matrix, lacks in ((4e-3, None, True), (0.0, None, False), (4e-3, {}, False)):
+        data = xr.Dataset({"depth": ("press", [depth])}, {"press": [f"p{depth:g}{matrix}"]})
+        path = store.write(tmp_path, data, matrix if matrix is None else xr.Dataset(matrix))
+        assert store.lacks_scattering(path) == lacks
+        if lacks:
+            with pytest.raises(ConfigError, match="case p has no scattering matrix"):
+                _check_band({"cycles": [("p", path)]}, Recipe())
+
+
+def test_modulus_that_one_session_determines_is_that_of_all(tmp_path):
+    for name, modulus in (("a", "young_modulus_mpa"), ("b", "trigger_us")):
+        (tmp_path / f"{name}.toml").write_text(
+            "temperature_offset_c = 0.3\ntemperature_offset_c_sd = 0.1\nlength_cm = 100\n"
+            "young_modulus_mpa = 1.1\nyoung_modulus_mpa_sd = 0.05\ntrigger_us = 0.0\n"
+            f"determined = ['{modulus}']\n[twin]\n[rangefinder]\ntemperature_bias = -0.3\n"
+            "[clutter]\nreflection = [1e-3, 1e-3]\n"
+        )
+    settings, _ = recipe_settings([tmp_path / "a.toml", tmp_path / "b.toml"])
+    assert settings["young_modulus"] == pytest.approx(1.1e6)
 
 
 def test_sweeps_and_datasets_are_not_mixed(sweep, dataset):

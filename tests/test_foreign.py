@@ -433,7 +433,7 @@ def test_surfaces_of_kilometres_or_far_from_the_origin_are_refused(tmp_path, suf
         for command in ("scatter a --out s.nc", "indent --tube a --depth 1 --out o"):
             told = run_here(*command.replace(" a ", f" {path} ").split())
             assert told.returncode == 2
-            assert "from the origin, and its numbers lose their digits" in told.stderr
+            assert "mm from the origin, more than the limit of 100000 mm" in told.stderr
             assert "move it to the origin" in told.stderr
 
 

@@ -6,13 +6,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import xarray as xr
 from commands import run_here
 from test_inversion import press, tool
 
-from acoustube.inversion import Contact, Estimate
+from acoustube.base.errors import ConfigError
+from acoustube.inversion import Contact, Estimate, Library
 from acoustube.ranging import Rangefinder, record
 from acoustube.recordings import write
-from acoustube.runs.inversion import Sensor, read_sensor
+from acoustube.runs.inversion import RecordingInverter, Sensor, read_sensor
 from acoustube.runs.inverted_cycles import inverted
 from acoustube.runs.libraries import files
 from acoustube.runs.libraries.build import build_library
@@ -62,6 +64,30 @@ def test_error_of_the_thermometer_is_what_a_file_or_a_simulated_recording_states
     ):  # fmt: skip
         assert read_sensor(path).temperature_bias(data) == bias
     assert Sensor().temperature_bias(simulated) == 0.7
+
+
+def test_untouched_recordings_of_another_rate_are_refused():
+    def recorded(rate):
+        signal = {"signal": (("cycle", "time"), np.zeros((2, 600), int))}
+        return xr.Dataset(
+            signal | {"temperature": ("cycle", [20.0, 20.0])}, attrs={"sampling_rate": rate}
+        )
+
+    inverter = RecordingInverter(Library((tool(),)), Sensor(), [(Path("free"), recorded(100e3))])
+    with pytest.raises(ConfigError, match="free has 100000 samples per second and a 200000"):
+        inverter._untouched(Path("a"), recorded(200e3))
+
+
+def test_cycles_without_a_label_are_one_sentence(folder, tmp_path):
+    data = record([], n_cycles=2, tube_seed=7)
+    data["depth"] = "cycle", np.full(2, np.nan)
+    write(data, tmp_path / "p.nc")
+    done = run_here("evaluate", folder / "lib", tmp_path / "p.nc")
+    assert done.returncode == 2
+    assert "have no label" in done.stderr
+    done = run_here("evaluate", tmp_path / "p.nc", tmp_path / "p.nc", "--sensor", "s.toml")
+    assert done.returncode == 2
+    assert "--sensor needs a library" in done.stderr
 
 
 @pytest.mark.slow

@@ -1,5 +1,7 @@
 """Libraries of scattering over depth: their refinement, their files and their command."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from commands import run_here
@@ -97,10 +99,22 @@ def test_plans_are_all_combinations_but_those_of_depths():
         assert np.diff(plan.pressed).max() <= 7.9e-3 / 16 + 1e-9
 
 
+def test_four_depths_whose_middles_fail_are_no_tool():
+    """Each of them left out leaves three, too few to estimate the error of interpolation."""
+    found = Refinement(0.005, [1e-3, 2e-3, 3e-3, 4e-3])
+    for depth in found.first:
+        found.add(depth, SimpleNamespace(s=np.full((5, 2, 1, 2, 1), 100 * depth, complex)))
+    for depth in found.next():
+        found.fail(depth, "it is closed")
+    assert not found.next()
+    assert not np.isfinite(found.between()).any()
+
+
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
         (["--indenter", 25, "--depth", 3], "needs 4 or more depths"),
+        (["--indenter", 25, "--depth", "1:3:0.5", "--frequency", 40, 42], "of one frequency and one air"),
         (["--indenter", 25, "--depth", "1:60:1"], "depth_mm"),
         (["--indenter", 25, "--depth", "1:3"], "first:last:step|range without a step"),
         (["--indenter", 25, "--tolerance", 2], "tolerance"),
@@ -137,14 +151,14 @@ def test_library_is_that_of_presses_to_its_depths(tmp_path):
     assert tool.name == "10 mm rod"
     assert np.all(np.diff(tool.force) > 0)
     again = run_here(*words)
-    assert "1 of 1 tools finished" in again.stdout
+    assert "1 of 1 indenters finished" in again.stdout
     assert library.modes == ("00", "11c")
 
 
 def test_damaged_or_foreign_library_is_one_sentence(tmp_path):
     with pytest.raises(ConfigError, match="does not exist"):
         files.open_library(tmp_path / "none")
-    with pytest.raises(ConfigError, match="holds no tool"):
+    with pytest.raises(ConfigError, match="holds no file of a library"):
         files.open_library(tmp_path)
     (tmp_path / "tool-1.nc").write_bytes(b"not a file of HDF5")
     with pytest.raises(ConfigError, match="acoustube library"):

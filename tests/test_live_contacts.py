@@ -134,7 +134,7 @@ def test_cycles_are_left_out_when_others_wait(folder, cycles):
             80e3,
             "80000 Hz and the sensor sampling_rate",
         ),
-        (None, 60e3, "folds the band of a carrier of 42 kHz"),
+        (None, 60e3, "aliases the band of a carrier of 42 kHz"),
     ],
 )
 def test_sensor_that_is_not_the_board_s_is_one_sentence(folder, tmp_path, sensor, rate, reason):
@@ -149,8 +149,9 @@ def test_sensor_that_is_not_the_board_s_is_one_sentence(folder, tmp_path, sensor
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
-        (("--contacts", "c.csv"), "--contacts goes with --library"),
+        (("--contacts", "c.csv"), "--contacts needs --library"),
         (("--library", "nowhere"), "nowhere"),
+        (("--library", "nowhere", "--out", "c.csv", "--contacts", "c.csv"), "name the same file"),
         (("--library", "nowhere", "--rest", "-1"), "rest"),
     ],
 )

@@ -198,6 +198,13 @@ def test_press_that_stops_keeps_and_reports_converged_depths(tmp_path, monkeypat
     assert len(sheet.axes) == 5  # force, lumen with its area, profiles with their colours
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.int64])
+def test_depths_of_any_number_type_have_a_key(dtype):
+    settings = press_in_si(Mechanics())
+    depths = np.array([1, 2], dtype)
+    assert press_runs.cache_key(settings, depths) == press_runs.cache_key(settings, [1.0, 2.0])
+
+
 def test_triangles_of_the_lumen_are_oriented_alike():
     """Each inner edge occurs once in each direction."""
     found = indent(load_tube(), depth=5e-5, mesh=COARSE)

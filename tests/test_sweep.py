@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from commands import run_process
+from matplotlib.figure import Figure
 from scipy.interpolate import CubicSpline
 from wave_lumens import BORE, pinched_tube
 
@@ -24,6 +25,7 @@ from acoustube.base import cache
 from acoustube.base.errors import ConfigError
 from acoustube.cli import main
 from acoustube.lumen import pressed_part
+from acoustube.reports.figures import sweep as sweep_figure
 from acoustube.runs import sound
 from acoustube.runs.config import configured
 from acoustube.runs.config.si import settings_in_si
@@ -141,9 +143,9 @@ def test_pieces_are_computed_once_ever(tmp_path, capsys):
     words += ["--temperature", "20"]
     assert main(["sweep", *words, "--workers", "1", "--out", str(tmp_path / "more")]) == 0
     out = capsys.readouterr().out
-    assert "paths of presses     1, 1 cached" in out
+    assert "load paths           1, 1 cached" in out
     assert "scattering matrices  2, 2 cached" in out
-    assert "paths: 0 computed, 1 reused; scattering: 0 computed, 2 reused; cases: 14 comp" in out
+    assert "load paths: 0 computed, 1 reused; scattering: 0 computed, 2 reused; cases: 14" in out
 
 
 SHARES = [[*SMALL, "--workers", "1", "--shard", f"{i}/2"] for i in (2, 1)]
@@ -453,3 +455,19 @@ def test_lumen_narrower_than_a_cell_neither_makes_nor_loses_power(depth):
     power = (np.abs(found.s[:, :, plane, 0, plane]) ** 2).sum(axis=1)
     assert found.settled.all()
     np.testing.assert_allclose(power, 1.0, atol=3e-3)
+
+
+@pytest.mark.parametrize("depths", [[4.0], [3.0, 4.0]])
+def test_echoes_of_a_single_depth_are_drawn_too(depths, monkeypatch):
+    """A row is 1 mm high, as the rows of depths 1 mm apart."""
+    monkeypatch.setattr(
+        sweep_figure, "envelope_of", lambda _: (np.linspace(0, 0.4, 9), np.full(9, 0.1))
+    )
+    numbers = {"tube_length": 0.4, "true_distance": 0.2, "estimated_distance": 0.2}
+    cases = xr.Dataset(
+        {name: ("press", np.full(len(depths), value)) for name, value in numbers.items()}
+        | {"depth": ("press", 1e-3 * np.array(depths))}
+    )
+    image = sweep_figure.draw_echoes(Figure().subplots(), cases)
+    rows = image.get_coordinates()[..., 1]
+    assert [rows.min(), rows.max()] == pytest.approx([depths[0] - 0.5, depths[-1] + 0.5])

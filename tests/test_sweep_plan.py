@@ -242,7 +242,7 @@ def test_large_plans_are_counted_without_being_run(capsys):
     assert main(["sweep", *words, "--dry-run"]) == 0
     out = capsys.readouterr().out
     assert "102051" in out
-    assert "paths of presses     3," in out
+    assert "load paths           3," in out
     assert "scattering matrices  48," in out or "scattering matrices  51," in out
     with pytest.raises(ConfigError, match="use at most"):
         load_plan(None, {"position_cm": ["20:220:0.0002"], "depth_mm": ["1:8:0.5"]})

@@ -63,7 +63,7 @@ CASES = {
     "indent --position 20": ["--position", "acoustube indent --help"],
     "check now": ['unexpected argument "now"', "acoustube check --help"],
     "check --verbose": ["--verbose", HELP],
-    "cite none": ["none does not exist", "name what a command wrote"],
+    "cite none": ["none does not exist", "name a result, or nothing"],
     "cite text.txt": ["text.txt is not a result", "simulate, indent, sweep"],
     "cite good.npz": ["good.npz is not a model", "acoustube train writes one"],
     # Sweeps, and what is made of them.
@@ -127,7 +127,7 @@ CASES = {
     f"{TRAIN} --out text.txt": ["out = text.txt exists"],
     "train nothing --estimator network --out new": ["nothing holds no recordings", ".npz"],
     "evaluate none.model good.npz": ["none.model does not exist", "train writes one"],
-    "evaluate nothing good.npz": ["nothing is a folder without tools", "train writes one"],
+    "evaluate nothing good.npz": ["nothing holds no file of a library", "train writes one"],
     "evaluate text.txt good.npz": ["text.txt is not a model (not a NumPy archive)"],
     "evaluate good.npz good.npz": ["good.npz is not a model", "train writes one"],
     "evaluate good.npz": ["evaluate needs a file or a folder"],

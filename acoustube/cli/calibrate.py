@@ -76,7 +76,7 @@ def calibrate(
 
     report, how = output.reporter(), processing_of(sensor)
     closed, free = (_together(paths, recording, lead, how) for paths in (blocked, untouched))
-    named = f"{blocked[0]} (blocked) and {untouched[0]} (untouched)"
+    named = f"{blocked[0]} (closed) and {untouched[0]} (untouched)"
     _check_alike(closed, free, blocked[0], named)
     try:
         found = signals.calibrate(
@@ -109,7 +109,7 @@ def _free_path(out: Path | None, name: str | None) -> Path:
     else:
         raise ConfigError("give the calibration either a file with --out or a name with --name")
     if os.path.lexists(path):
-        raise ConfigError(f"{path} exists and nothing is overwritten; remove it or name another")
+        raise ConfigError(f"{path} exists and nothing is overwritten; name a new file")
     return path
 
 
@@ -117,7 +117,7 @@ def _check_alike(closed: xr.Dataset, free: xr.Dataset, blocked: Path, named: str
     """Raise unless closures have labels, and all cycles the same sampling rate and length."""
     if "true_distance" not in closed:
         raise ConfigError(
-            f"the blocked cycles of {blocked} have no label true_distance; give it in the file "
+            f"the closed cycles of {blocked} have no label true_distance; give it in the file "
             "or in a sidecar"
         )
     for what, one, other in (
@@ -126,7 +126,7 @@ def _check_alike(closed: xr.Dataset, free: xr.Dataset, blocked: Path, named: str
     ):
         if one != other:
             raise ConfigError(
-                f"{named}: blocked and untouched cycles must have the same {what}, not {one:g} and "
+                f"{named}: closed and untouched cycles must have the same {what}, not {one:g} and "
                 f"{other:g}"
             )
 
@@ -143,8 +143,8 @@ def _together(paths: Sequence[Path], options: Recording, lead: Lead, how: Proces
     lengths = {part.sizes["time"] for part in parts}
     if len(rates) > 1 or len(lengths) > 1:
         raise ConfigError(
-            f"{', '.join(map(str, paths))}: the recordings differ in sampling rate or length; use "
-            "recordings with the same"
+            f"{', '.join(map(str, paths))}: the recordings differ in sampling rate or length; "
+            "calibrate with recordings of one rate and length"
         )
     return xr.concat(parts, "cycle", data_vars="all", join="override") if parts[1:] else parts[0]
 

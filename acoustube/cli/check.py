@@ -52,7 +52,7 @@ assert plotter.screenshot(return_img=True).std() > 1
 DRAWING_SECONDS = 120.0
 """Time limit of `DRAWING` in s."""
 HELP_WITH_CACHE = (
-    "it cannot be written, so that nothing is cached: set ACOUSTUBE_CACHE to a folder that can"
+    "it cannot be written, so that nothing is cached: set ACOUSTUBE_CACHE to a writable folder"
 )
 HELP_WITH_DRAWING = (
     "the two pictures of the tube will be missing from figures; on Debian and Ubuntu: "

@@ -41,7 +41,7 @@ def cite(
         BibTeX entries instead of text.
     """
     if result is not None and not result.exists():
-        raise ConfigError(f"{result} does not exist; name what a command wrote, or nothing")
+        raise ConfigError(f"{result} does not exist; name a result, or nothing for all methods")
     found = references(None if result is None else topics_of(result))
     print("\n\n".join(entry.bibtex() for entry in found) if bibtex else in_words(found))
 
@@ -122,7 +122,7 @@ def _of_text(text: Any, source: Path) -> set[str]:
     """Return the topics of a run's methods from its settings as JSON; raise if it has none."""
     from acoustube.base.foreign.results import settings_in
 
-    with reading(source, "holds no settings of acoustube", "name what a command of it wrote"):
+    with reading(source, "holds no settings of acoustube", "name a result that it wrote"):
         return _of_settings(settings_in(text, source))
 
 
@@ -137,7 +137,7 @@ def _of_settings(settings: dict[str, Any]) -> set[str]:
     waves = settings.get("waves")
     if waves is not None:
         # Both source ends are computed, one of them absorbing.
-        found |= {"air", "absorber", "grid"}
+        found |= {"air"} if waves["method"] == "spectral" else {"air", "absorber", "grid"}
         found |= {"losses"} if waves["losses"] == "on" else set()
         found |= {"scattering", "cascade"} if waves["method"] != "full" else set()
     return found

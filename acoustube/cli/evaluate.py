@@ -16,6 +16,7 @@ from cyclopts import Parameter
 from acoustube.base.console import ConsoleReporter
 from acoustube.base.errors import ConfigError
 from acoustube.base.interrupts import watched_interrupts
+from acoustube.base.report import counted
 from acoustube.base.rules import Number
 from acoustube.base.version import __version__
 from acoustube.base.writing import write_all
@@ -82,12 +83,15 @@ def evaluate(
 
         of_library = any(model.glob(PATTERN))
     if not (model.is_file() or of_library):
-        what = "is a folder without tools of a library" if model.is_dir() else "does not exist"
+        what = "holds no file of a library" if model.is_dir() else "does not exist"
         raise ConfigError(
             f"{model} {what}; give a model: train writes one, or a library's folder: library "
             "writes one"
         )
     check_files(out=out, figure=figure)
+    for name, value in (("sensor", inverted.sensor), ("untouched", inverted.untouched)):
+        if value is not None and not of_library:
+            raise ConfigError(f"--{name} needs a library; give the folder of one, not a model")
     if of_library:
         _evaluate_library(model, data, inverted, out, figure, output.reporter())
         return
@@ -113,8 +117,8 @@ def evaluate(
         )
     seen = int(np.isfinite(table["features"].values).all(axis=1).sum())
     head = (
-        f"{trained.name}, trained on {trained.origin['trained']} cycles; {table.sizes['cycle']} "
-        f"cycles, echoes in {seen}"
+        f"{trained.name}, trained on {counted(trained.origin['trained'], 'cycle')}; "
+        f"{counted(table.sizes['cycle'], 'cycle')}, echoes in {seen}"
     )
     _finish(rows, head, (table, estimates), {"out": out, "figure": figure}, report, start)
 
@@ -147,11 +151,15 @@ def _evaluate_library(
     with watched_interrupts() as check, report.progress(check) as show:
         table, estimates = estimated(read_cycles(data), inverter, inverted.group, show)
     rows = list(error_rows(tuple(TARGETS), table, estimates))
+    if not rows:
+        raise ConfigError(
+            f"the cycles have no label {' or '.join(TARGETS)}; give it in the files or in a sidecar"
+        )
     found = int(np.isfinite(estimates["distance"].values).sum())
     tools = ", ".join(tool.name for tool in library.tools)
     head = (
-        f"inversion, library of {tools}; {table.sizes['cycle']} groups of up to "
-        f"{inverted.group} cycles, contacts in {found}"
+        f"inversion, library of {tools}; {counted(table.sizes['cycle'], 'group')} of up to "
+        f"{counted(inverted.group, 'cycle')}, contacts in {found}"
     )
     _finish(rows, head, (table, estimates), {"out": out, "figure": figure}, report, start)
 

@@ -55,7 +55,7 @@ def export(
     out : Path
         Folder to write, which must be new or empty.
     """
-    check_out(out)
+    out = check_out(out)
     data = _opened(results)
     of = _kind(data, results)
     formats = FORMATS[of]

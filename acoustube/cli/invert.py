@@ -62,7 +62,7 @@ class FarEnd(Checked):
         """Check that untouched cycles of the far end come with recordings from there."""
         super().__post_init__()
         if self.far_untouched and not self.far:
-            raise ConfigError("--far-untouched goes with --far; name the recordings from there")
+            raise ConfigError("--far-untouched needs --far; give the recordings from the far end")
 
     def check_pairs(self, files: Sequence[Path]) -> None:
         """Raise :class:`ConfigError` unless there is one recording from each end."""
@@ -90,7 +90,7 @@ def invert(
     detection_limits: Path | None = None,
     output: Output = Output(),
 ) -> int:
-    """Estimate contacts in recordings: number, distance, depth, force and tool, with uncertainties.
+    """Estimate contacts: number, distance, depth, force and indenter, with uncertainties.
 
     Parameters
     ----------
@@ -109,8 +109,8 @@ def invert(
         Picture to write (PNG, PDF or SVG): echoes from each end, posterior and limit of
         detection along the tube, of the first group with a contact, else of the first group.
     detection_limits : Path
-        Table to write (CSV) of the limits of detection along the tube for each group and tool: the
-        least depth and force at which a further contact would be detected; inf if at no depth.
+        Table to write (CSV) of the limits of detection along the tube for each group and indenter:
+        the least depth and force at which a further contact would be detected; inf if at no depth.
     """
     _check(files, out, figure, detection_limits)
     far_end.check_pairs(files)

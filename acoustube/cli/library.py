@@ -55,10 +55,11 @@ class Accuracy(Checked):
         if self.band is not None:
             for edge in self.band:
                 Number(0.5, 120, "kHz").check("band", edge)
-            if not self.band[0] < self.band[1]:
+            low, high = self.band
+            if not low < high:
                 raise ConfigError(
-                    "does not increase", setting="band", value=list(self.band),
-                    advice="give the lower frequency first",
+                    "is invalid", setting="band", value=f"{low:g} {high:g}", unit="kHz",
+                    advice="use 0 < low < high",
                 )  # fmt: skip
 
     @property
@@ -80,7 +81,7 @@ def library(
 
     The depths are a range first:last:step. Shapes between them are interpolated, and scattering is
     computed at more depths where it varies more. Other settings may have several values; each
-    combination is a tool. Tools that the folder contains are not computed again.
+    combination is an indenter. Indenters that the folder contains are not computed again.
 
     Parameters
     ----------

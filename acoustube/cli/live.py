@@ -14,10 +14,9 @@ from cyclopts import Parameter
 
 from acoustube.base.console import REPORT_INTERVAL
 from acoustube.base.errors import ConfigError, readable
-from acoustube.base.files import check_new_file
 from acoustube.base.rules import Number
 from acoustube.base.units import CM
-from acoustube.cli._options import WHOLE, Checked, Output, Ranging
+from acoustube.cli._options import WHOLE, Checked, Output, Ranging, check_files
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -113,8 +112,7 @@ def live(
     """
     if duration is not None:
         Number(0, 1e9, "s", "duration of the stream").check("duration", duration)
-    if out is not None:
-        check_new_file(out)
+    check_files(out=out, contacts=inverted.contacts)
 
     from acoustube.runs.live import Stream
 
@@ -130,10 +128,8 @@ def _contacts(inverted: Inverted) -> Contacts | None:
     if folder is None:
         for name in ("sensor", "contacts"):
             if given[name] is not None:
-                raise ConfigError(f"--{name} goes with --library; name the folder of a library")
+                raise ConfigError(f"--{name} needs --library; name the folder of a library")
         return None
-    if table is not None:
-        check_new_file(table)
 
     from acoustube.runs.live_contacts import Contacts
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from acoustube.base.console import failure
 from acoustube.base.errors import ConfigError, about
 from acoustube.base.interrupts import watched_interrupts
-from acoustube.base.report import Reporter
+from acoustube.base.report import Reporter, counted
 from acoustube.base.units import MS
 from acoustube.cli._options import Lead, Output, Ranging, Recording, check_files
 
@@ -99,8 +99,8 @@ def process(
         report.note(UNCALIBRATED)
     if figure is not None and not pictures:
         report.note("no echo is detected, so no picture is drawn")
-    failed = f"; {failures} files could not be processed" if failures else ""
-    report.line(f"{n_cycles} cycles, echoes in {n_found}{failed}")
+    failed = f"; {counted(failures, 'file')} could not be processed" if failures else ""
+    report.line(f"{counted(n_cycles, 'cycle')}, echoes in {n_found}{failed}")
     return 1 if failures else 0
 
 

@@ -124,7 +124,7 @@ def _prepared(out: Path, scale: Scale) -> Path:
     if (folder / MARK).is_file():
         if _begun_with(folder / MARK) != mark:
             raise ConfigError(
-                "was begun with or without --quick, or by another version of acoustube",
+                "was begun with the other setting of --quick, or by another version of acoustube",
                 setting="out", value=out, advice="name a new folder",
             )  # fmt: skip
         return folder

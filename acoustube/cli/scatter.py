@@ -190,8 +190,10 @@ def _scattering(task: _Task, method: str, report: Reporter) -> tuple[StoredScatt
             try:
                 return _spectral(task, air, surface, start, progress)
             except ConfigError as reason:
+                cause = str(reason).partition(";")[0]
                 unsuitable.append(
-                    f"The march computed the scattering, not the spectral solver: {reason}"
+                    "The time-domain solver (march) computed the scattering, since the spectral "
+                    f"solver cannot: {cause}"
                 )
         found, notes = _marched(task, air, surface, start, progress)
     return found, [*unsuitable, *notes]

@@ -38,7 +38,7 @@ def show(
         Page to write, which must be new.
     """
     if out is None and html is None:
-        raise ConfigError("There is nothing to write; give --html FILE, --out FILE or both")
+        raise ConfigError("nothing to write; give --html FILE, --out FILE or both")
     if out is not None:
         check_new_file(out)
         check_picture(out, "out")

@@ -94,7 +94,7 @@ def run_simulation(config: Config, folder: Path, report: ConsoleReporter) -> Pat
             folder = publish(partial, folder)
     _print_results(dataset, config.signals.prominence, report)
     if images is None:
-        report.note("The tube could not be drawn in 3-D: see 'The figure' in the README.")
+        report.note("VTK cannot draw on this machine: see 'The figure' in the README")
     report.line(f"Written to {folder} in {time.perf_counter() - started:.0f} s.")
     return folder
 
@@ -158,7 +158,7 @@ def _compared(case: xr.Dataset) -> str:
         return "no echo in one of the two, see the variables spectral_*"
     ratio = float(case["spectral_amplitude"] / case["echo_amplitude"])
     return (
-        f"echo {MM * apart:+.3f} mm from this one, {PERCENT * (ratio - 1):+.2f} % in height "
+        f"echo displaced by {MM * apart:+.3f} mm, height changed by {PERCENT * (ratio - 1):+.2f} % "
         f"(estimated error of its coefficients {float(case['spectral_error']):.0e})"
     )
 

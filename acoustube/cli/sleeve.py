@@ -195,7 +195,7 @@ def _run(
             outer_diameter=wound.tube_diameter, deviation=sensor.deviation, markers=seen,
         )  # fmt: skip
         if not sleeve_scene.draw(picture, partial / "figure.png"):
-            report.note("VTK cannot draw on this machine; there is no picture")
+            report.note("VTK cannot draw on this machine: see 'The figure' in the README")
         folder = publish(partial, folder)
     report.line(f"Written to {folder} in {time.perf_counter() - started:.0f} s.")
 

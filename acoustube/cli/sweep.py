@@ -187,7 +187,7 @@ def _dry_run(
     part = load_paths(sample)
     scale = Scale(len(plan) / len(sample), *_counted(plan))
     report_work(Work(part, 0, {}, len(plan)), workers, report, scale)
-    report.note(f"one in {step} cases was checked, none looked up")
+    report.note(f"only one in {step} cases was checked; cached results were not looked up")
 
 
 def _counted(plan: Plan) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_new_file
 from acoustube.base.interrupts import watched_interrupts
-from acoustube.base.report import Reporter, ShowProgress
+from acoustube.base.report import Reporter, ShowProgress, counted
 from acoustube.base.rules import Number
 from acoustube.base.version import __version__
 from acoustube.cli._options import WHOLE, Checked, Output, Ranging
@@ -139,7 +139,7 @@ def _print_cycles(table: xr.Dataset, name: str, report: Reporter) -> None:
     echoes = int(np.isfinite(table["features"].values).all(axis=1).sum())
     used = int(usable(table, targets).sum())
     report.line(
-        f"acoustube {__version__}: {table.sizes['cycle']} cycles, echoes in {echoes}; "
+        f"acoustube {__version__}: {counted(table.sizes['cycle'], 'cycle')}, echoes in {echoes}; "
         f"the estimator {name} learns {', '.join(TARGETS[t] for t in targets)} from {used} of them"
     )
 

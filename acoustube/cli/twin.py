@@ -56,7 +56,7 @@ class Others:
     untouched : list
         Recordings of the untouched tube, in place of the last file.
     pressed : list
-        Recordings of presses of known tool, with the label ``force`` or ``depth``, files or
+        Recordings of presses by a known indenter, with the label ``force`` or ``depth``, files or
         folders: they determine the wall's modulus and whether the ground yields.
     tools : Path
         Library of the indenters used: a folder that ``acoustube library`` wrote.
@@ -70,8 +70,8 @@ class Others:
         """Check that presses have a library."""
         if (self.pressed is None) != (self.tools is None):
             raise ConfigError(
-                "--pressed and --library go together: recordings of presses, and the folder of "
-                "their tools that acoustube library wrote"
+                "--pressed and --library go together: recordings of presses, and the indenters' "
+                "library, which acoustube library wrote"
             )
 
 
@@ -158,7 +158,8 @@ def _print_closures(found: FittedSensor, report: Reporter) -> None:
     )
     if explained.mean() < POOR_FIT:
         report.note(
-            "so little that the sensor has parts which the model lacks; see the figure of --figure"
+            f"the model explains less than {PERCENT * POOR_FIT:g} % of that energy, so that it "
+            "lacks some part of this sensor; compare the cycles in the picture of --figure"
         )
 
 
@@ -174,8 +175,9 @@ def _print_presses(found: FittedSensor, report: Reporter) -> None:
             report.note(f"{state.source}: the press{where}: {reasons}")
     measured = sum(isfinite(state.press.depth) for state in found.pressed)
     used = len(found.pressed) - len(material.left_out)
+    presses = "1 press" if len(found.pressed) == 1 else f"{len(found.pressed)} presses"
     report.line(
-        f"{len(found.pressed)} presses: the depths of {measured} are estimated from their echoes; "
+        f"{presses}: the depths of {measured} are estimated from their echoes; "
         f"the forces of {used} determine the wall's modulus"
     )
     if material.yields:

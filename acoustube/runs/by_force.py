@@ -87,8 +87,8 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
     widest = float(np.diff(indentation.depth).max(initial=0.0))
     if widest > spacing:
         raise ConfigError(
-            f"The press has depths {MM * widest:.3g} mm apart, too far to interpolate between; "
-            f"press to depths at most {MM * spacing:.3g} mm apart."
+            f"the press has depths {MM * widest:.3g} mm apart, too far to interpolate between; "
+            f"press to depths at most {MM * spacing:.3g} mm apart"
         )
     fall = np.maximum.accumulate(path) - path
     if np.any(fall > FORCE_DROP_TOLERANCE * path.max()):
@@ -100,9 +100,10 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
     outside = wanted[~((wanted >= 0) & (wanted <= path[-1]))]
     if outside.size:
         raise ConfigError(
-            f"is not between 0 and {path[-1]:.4g} N, which the path reaches at "
+            f"is not between 0 and {path[-1]:.4g} N, the force at the last depth, "
             f"{MM * indentation.depth[-1]:.4g} mm", setting="force", value=float(outside[0]),
-            unit="N", allowed=(0.0, float(path[-1])), advice="press deeper",
+            unit="N", allowed=(0.0, float(path[-1])),
+            advice="use a force in this range, or press deeper",
         )  # fmt: skip
     spline = DepthPath(indentation)
     depth = _depths(spline, np.ravel(wanted))

@@ -42,8 +42,8 @@ def read_surface(path: str | Path) -> trimesh.Trimesh:
     surface.apply_scale(1e-3)
     if surface.euler_number != 0:
         raise ConfigError(
-            f"{path}: the surface has {1 - surface.euler_number // 2} holes through it; a tube "
-            "has one, its bore. Remove all parts but the wall."
+            f"{path}: the surface has {1 - surface.euler_number // 2} holes through it, and a tube "
+            "has one, its bore; remove all parts but the wall"
         )
     separate_walls(surface, str(path))
     return surface

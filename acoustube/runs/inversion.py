@@ -28,6 +28,7 @@ from acoustube.inversion import (
     baseband_of,
 )
 from acoustube.inversion.clutter import Reflectors, reflectors
+from acoustube.inversion.model import needed_band
 from acoustube.ranging import Rangefinder
 from acoustube.recordings.reading import stated_length
 from acoustube.runs.config import read_document
@@ -291,6 +292,12 @@ class RecordingInverter:
                     f"{source} has cycles of {one.sizes['time']} samples and {path} of "
                     f"{data.sizes['time']}; record both alike"
                 )
+            rate, own = data.attrs["sampling_rate"], one.attrs["sampling_rate"]
+            if abs(own / rate - 1) > 1e-3:
+                raise ConfigError(
+                    f"{source} has {own:g} samples per second and {path} {rate:g}; record both "
+                    "alike"
+                )
             cycles.append(one["signal"].values)
             temperatures.append(one["temperature"].values - self.sensor.temperature_bias(one))
         return np.concatenate(cycles), float(np.mean(np.concatenate(temperatures)))
@@ -301,9 +308,7 @@ def check_band(library: Library, base: Baseband) -> None:
 
     The frequencies of the baseband are converted to the speed of sound of the library.
     """
-    low, high = library.band
-    ratio = library.sound_speed / base.speed
-    least, most = base.frequency[0] * ratio * 0.99, base.frequency[-1] * ratio * 1.01
+    (low, high), (least, most) = library.band, needed_band(library, base)
     if least < low or most > high:
         raise ConfigError(
             f"the library covers {KHZ * low:.4g} to {KHZ * high:.4g} kHz, and the rangefinder "
@@ -346,7 +351,7 @@ def note_warnings(
     if misfits:
         report.note(
             f"{path}: in {len(misfits)} of {n_groups} groups the echo differs from the library's "
-            f"by {PERCENT * min(misfits):.0f} to {PERCENT * max(misfits):.0f} %; tube, tools, "
+            f"by {PERCENT * min(misfits):.0f} to {PERCENT * max(misfits):.0f} %; tube, indenters, "
             "sensor or number of contacts are not those stated, or a force is beyond the library's"
         )
     if length is None:

@@ -23,6 +23,7 @@ import numpy as np
 from acoustube import signals
 from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.interrupts import watched_interrupts
+from acoustube.base.report import counted
 from acoustube.base.units import MS
 from acoustube.base.writing import FULL, begin
 from acoustube.recordings.echotube_stream import (
@@ -137,8 +138,8 @@ class Tally:
             missing = f"no intact cycle in {self.n_bytes} bytes, {self.n_garbled} garbled"
             return missing + ("; check the baud rate and the board" if self.n_bytes else "")
         return (
-            f"{self.n_cycles} cycles at {self.rate:.1f}/s, echoes in {self.n_detections}, "
-            f"{self.n_garbled} garbled, {self.n_dropped} dropped, latency "
+            f"{counted(self.n_cycles, 'cycle')} at {self.rate:.1f}/s, echoes in "
+            f"{self.n_detections}, {self.n_garbled} garbled, {self.n_dropped} dropped, latency "
             f"{MS * self.latency:.1f} ms"
             + (", reception began within a frame" if self.n_joined else "")
             + (f", {self.n_skipped} not inverted for lack of time" if self.n_skipped else "")
@@ -199,8 +200,8 @@ def follow(
     with (
         watched_interrupts() as check,
         _opened(stream.port, stream.baud) as line,
-        _log(out, LIVE_COLUMNS) as log,
-        _log(table, columns) as log_contact,
+        _log("out", out, LIVE_COLUMNS) as log,
+        _log("contacts", table, columns) as log_contact,
     ):
         try:
             with Receiver(line, decoder) as receiver:
@@ -223,8 +224,9 @@ def follow(
             raise KeyboardInterrupt(f"interrupted; {tally.words()}; {kept}") from None
     if isinstance(receiver.failure, OSError):
         cut = SimulationError(
-            f"{stream.port} was cut off after {tracker.n_cycles} intact cycles, {kept}; connect "
-            "the board and start again"
+            f"the connection to {stream.port} was lost after "
+            f"{counted(tracker.n_cycles, 'intact cycle')}, {kept}; connect the board and start "
+            "again"
         )
         cut.__cause__ = receiver.failure
         return tally, cut
@@ -277,7 +279,9 @@ def _follower(stream: Stream, contacts: Contacts | None) -> Follower | None:
 
 
 @contextlib.contextmanager
-def _log(out: Path | None, columns: Sequence[str]) -> Iterator[Callable[[list[object]], None]]:
+def _log(
+    name: str, out: Path | None, columns: Sequence[str]
+) -> Iterator[Callable[[list[object]], None]]:
     """Yield a function that immediately writes a row to a new file, or does nothing without one."""
     if out is None:
         yield lambda _: None
@@ -288,7 +292,7 @@ def _log(out: Path | None, columns: Sequence[str]) -> Iterator[Callable[[list[ob
     except OSError as error:
         raise ConfigError(
             f"cannot be written ({error.strerror})",
-            setting="out",
+            setting=name,
             value=out,
             advice="name a new file",
         ) from error

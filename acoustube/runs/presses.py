@@ -115,7 +115,7 @@ def cache_key(settings: SIPress, depths: Sequence[float]) -> str:
             "layer": settings.layer and dataclasses.asdict(settings.layer),
             "support": settings.support,
             "mesh": dataclasses.asdict(settings.mesh),
-            "depths": list(depths),
+            "depths": [float(depth) for depth in depths],
         },
     )
 

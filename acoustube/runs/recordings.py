@@ -326,10 +326,10 @@ def calibration_path(name: str) -> Path:
         If there is neither such a file nor such a name.
     """
     path = Path(name)
-    if path.exists():
+    if path.exists() and not path.is_dir():
         return path
     home = calibration_folder() / f"{name}.toml"
-    if home.exists():
+    if home.is_file():
         return home
     known = sorted(p.stem for p in calibration_folder().glob("*.toml"))
     advice = f"known are {', '.join(known)}" if known else "acoustube calibrate makes one"

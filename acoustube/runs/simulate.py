@@ -108,7 +108,8 @@ def simulate(
                 check = spectral_check(settings, pressed_part(indentation))
                 notes += [f"Spectral solver: {check.note}"] if check.note else []
             except ValueError as error:
-                notes.append(f"The spectral solver could not verify this run: {error}")
+                reason = str(error).partition(";")[0]
+                notes.append(f"The spectral solver could not verify this run: {reason}")
 
     return results.dataset(
         config,
@@ -140,13 +141,6 @@ def warnings_for(settings: SISettings) -> list[str]:
             f"The echo comes back within {MS * blind:.2f} ms of the send pulse, which is not "
             "searched: move the press away from the source or raise the low-pass."
         )
-    bore = settings.tube.inner_diameter
-    if settings.depth > LARGEST_CLOSING * bore:
-        found.append(
-            f"At {MM * settings.depth:g} mm the walls of the {MM * bore:g} mm lumen meet, or "
-            f"nearly: sound in gaps narrower than a cell of {MM * bore / settings.resolution:.2g} "
-            "mm is approximate."
-        )
     if not settings.lossy:
         loss = attenuation(0, 0, pulse.frequency, radius, air) * path * 20 / np.log(10)
         found.append(
@@ -157,14 +151,22 @@ def warnings_for(settings: SISettings) -> list[str]:
 
 
 def _narrow(settings: SISettings, indentation: Indentation) -> list[str]:
-    """Return a warning if the lumen is so narrow that boundary layers fill it; empty otherwise."""
+    """Return warnings if the lumen is so narrow that cells or boundary layers do not resolve it."""
+    found, bore = [], settings.tube.inner_diameter
     height = measure(indentation, -1, np.array([indentation.indenters[0].z])).height[0]
+    if settings.method != "spectral" and height < (1 - LARGEST_CLOSING) * bore:
+        found.append(
+            f"At {MM * settings.depth:g} mm the walls of the {MM * bore:g} mm lumen meet, or "
+            f"nearly: sound in gaps narrower than a cell of {MM * bore / settings.resolution:.2g} "
+            "mm is approximate."
+        )
     layers = height / viscous_thickness(settings.air, settings.pulse.frequency)
-    warning = (
-        f"The lumen is {UM * height:.0f} um high under the indenter, {layers:.0f} viscous "
-        "boundary layers: there the first-order model of losses is not valid."
-    )
-    return [warning] if layers < NARROW_GAP_LAYERS else []
+    if layers < NARROW_GAP_LAYERS:
+        found.append(
+            f"The lumen is {UM * height:.0f} um high under the indenter, {layers:.0f} viscous "
+            "boundary layers: there the first-order model of losses is not valid."
+        )
+    return found
 
 
 @contextmanager

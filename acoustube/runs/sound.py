@@ -184,7 +184,11 @@ def scattering_of(
             found = spectral_scattering_of(part, air, band, lossy=lossy)
             return found, None, _excess(found)
         except ConfigError as reason:
-            note = f"The time-domain method computed the scattering, not the spectral one: {reason}"
+            cause = str(reason).partition(";")[0]
+            note = (
+                "The time-domain solver computed the scattering, since the spectral solver "
+                f"cannot: {cause}"
+            )
     across, length = bore / resolution, 2 * part.position
     # A whole number of layers, so that the grid of a symmetric press is symmetric too.
     spacing = across, across, length / np.ceil(length / across)

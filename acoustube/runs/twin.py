@@ -270,7 +270,13 @@ def _converter(
     """Return resolution in bits, whether samples are counts, and full scale in V."""
     low = min(float(data["signal"].min()) for _, data in parts)
     high = max(float(data["signal"].max()) for _, data in parts)
-    whole = all(np.issubdtype(data["signal"].dtype, np.integer) for _, data in parts)
+    counts = [data["signal"] for _, data in parts]
+    whole = all(
+        np.issubdtype(one.dtype, np.integer) or (bits is not None and not np.any(one.values % 1))
+        for one in counts
+    )
+    if bits is not None and (not whole or low < 0):
+        raise ConfigError("bits needs counts, but samples are fractions or negative; leave it out")
     if not whole or low < 0 or high >= 2 ** BITS[-1]:
         # Samples in an unknown unit, which is taken to be the volt.
         return 16, False, float(2**16)
@@ -281,7 +287,7 @@ def _converter(
     if high >= 2**bits:
         raise ConfigError(
             "is too few", setting="bits", value=bits,
-            advice=f"the recordings hold counts up to {high:g}",
+            advice=f"use {ceil(log2(high + 1))} or more, as counts reach {high:g}",
         )  # fmt: skip
     return bits, True, VOLTS
 

@@ -14,6 +14,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.units import CM, MM, PERCENT, US
 from acoustube.ranging import Burst, Chirp, Rangefinder, Tones, blockage, record
+from acoustube.ranging.analogue import MEASURED_SPACING
 from acoustube.runs.sensor_file import (
     KIND,
     finite_numbers,
@@ -77,7 +78,9 @@ def twin_calibration(path: Path) -> Calibration:
     bore, length, trigger = diameter / MM, along / CM, start / US
     common: dict[str, Any] = {
         "radius": bore / 2, "length": length, "temperature": AIR,
-        "reflectors": np.array(twin_settings(path)["reflectors"]),
+        "reflectors": np.array(twin_settings(path)["reflectors"])[
+            : int(np.ceil(length / MEASURED_SPACING))
+        ],
     }  # fmt: skip
     try:
         return _calibrated(own, trigger, common)
@@ -92,7 +95,8 @@ def _calibrated(own: Rangefinder, trigger: float, common: Mapping[str, Any]) -> 
     places = np.arange(FIRST, min(common["length"] - BEFORE_END, reach), APART)
     if len(places) < FEWEST:
         raise ConfigError(
-            f"its tube of {CM * common['length']:.3g} cm is too short for {FEWEST} closures"
+            f"its tube of {CM * common['length']:.3g} cm is too short for {FEWEST} closures; give "
+            "a calibration (--calibration)"
         )
     shut = [
         record([blockage(band, float(z))], own, n_cycles=CYCLES, seed=i, session_seed=0, **common)
@@ -171,7 +175,8 @@ def processing_of(sensor: Path | None) -> Processing:
             "echo would be located; use Chirp here, or acoustube invert"
         )
     assert isinstance(drive, Burst | Chirp)
-    own = Processing(frequency=drive.frequency, cutoff=min(LOW_PASS, drive.frequency / 2))
-    if isinstance(drive, Burst):
-        return own
-    return replace(own, bandwidth=drive.bandwidth, pulse_cycles=drive.duration * drive.frequency)
+    own = Processing(
+        frequency=drive.frequency, cutoff=min(LOW_PASS, drive.frequency / 2),
+        pulse_cycles=drive.duration * drive.frequency,
+    )  # fmt: skip
+    return own if isinstance(drive, Burst) else replace(own, bandwidth=drive.bandwidth)

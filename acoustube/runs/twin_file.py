@@ -102,7 +102,7 @@ def _background_parameters(found: FittedSensor) -> Iterator[Parameter]:
     """Yield the parameters estimated from untouched cycles, and from the scatter of all cycles."""
     rest, volt = found.rest, 1 / found.per_volt
     rows: list[tuple[str, Measured, float, float | None, str]] = [
-        ("send_v", rest.send, volt, None, "received level of the own drive"),
+        ("send_v", rest.send, volt, None, "received level of the direct drive"),
         ("far_reflection", rest.far_reflection, 1.0, 1.0, "reflection coefficient of the far end"),
         ("clutter_per_m", rest.clutter, 1.0, None, "power that irregularities reflect per metre"),
         ("noise_v", rest.noise, volt, None, "rms of the noise"),

@@ -118,8 +118,8 @@ def _check_bore(found: FittedSensor, known: Library, path: Path, report: Reporte
     own = radius(found.twin)[0]
     off = abs(known.radius / own - 1)
     words = (
-        f"{path} is of a bore of {2 * MM * known.radius:.4g} mm, and the twin's is "
-        f"{2 * MM * own:.4g} mm; make one with --bore {2 * MM * own:.4g}"
+        f"{path} is for a bore of {2 * MM * known.radius:.4g} mm, and the twin's is "
+        f"{2 * MM * own:.4g} mm; make a library with acoustube library --bore {2 * MM * own:.4g}"
     )
     if off > WRONG_BORE:
         raise ConfigError(words)
@@ -137,8 +137,8 @@ def _tools(known: Library, diameter: float, path: Path) -> tuple[int, ...]:
     if not found:
         tools = ", ".join(one.name for one in known.tools)
         raise ConfigError(
-            f"{path} is of a tool of {MM * diameter:g} mm and the library of {tools}; make one "
-            f"with --indenter {MM * diameter:g}"
+            f"{path} is of an indenter of {MM * diameter:g} mm and the library of {tools}; compute "
+            f"one with acoustube library --indenter {MM * diameter:g}"
         )
     return found
 
@@ -169,8 +169,8 @@ def _state(
         if not reason:
             depth, deviation = contact.depth.value, contact.depth.deviation
     stated, force = label["depth"], label["force"]
-    if reason and not np.isfinite(label["diameter"]) and len(library.tools) > 1:
-        reason += ", and no label diameter says which tool pressed"
+    if reason and len(library.tools) > 1:
+        reason += ", and no label diameter says which indenter pressed"
         stated = force = np.nan
     press = Press(tool, depth, deviation, stated, force)
     return PressedState(source=str(path), place=place, press=press, reason=reason)

@@ -131,9 +131,12 @@ def recipe_settings(paths: Sequence[Path]) -> tuple[dict[str, Any], list[Across]
             )
     first = rangefinder_in(documents[0], paths[0])
     settings: dict[str, Any] = {"rangefinder": first} | twin_settings(paths[0])
+    moduli = [young_modulus(one, path) for one, path in zip(documents, paths, strict=True)]
+    stated = [modulus for modulus in moduli if modulus is not None]
+    if len(stated) == 1:
+        settings["young_modulus"] = stated[0][0]
     if len(paths) == 1:
-        modulus = young_modulus(documents[0], paths[0])
-        return settings | ({} if modulus is None else {"young_modulus": modulus[0]}), []
+        return settings, []
     for path, document in zip(paths, documents, strict=True):
         if KIND not in document:
             raise ConfigError(
@@ -141,7 +144,7 @@ def recipe_settings(paths: Sequence[Path]) -> tuple[dict[str, Any], list[Across]
             )
         if ("humidity_percent" in document) != ("humidity_percent" in documents[0]):
             raise ConfigError(
-                f"{path} and {paths[0]} were not both fitted with --humidity; fit all alike"
+                f"only one of {path} and {paths[0]} was fitted with --humidity; fit all alike"
             )
         other = rangefinder_in(document, path)
         for name in ("sampling_rate", "n_samples", "bits", "full_scale"):

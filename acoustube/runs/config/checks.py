@@ -52,7 +52,7 @@ def check_press(press: IndentationSettings) -> None:
         )
     if press.layer_mm is not None and press.support == "held":
         raise ConfigError(
-            "lies under a tube that is free to lift", setting="layer_mm", value=press.layer_mm,
+            "needs a free tube, not support = held", setting="layer_mm", value=press.layer_mm,
             advice="use support free",
         )  # fmt: skip
 
@@ -61,8 +61,8 @@ def check_round(tube: TubeSettings) -> None:
     """Raise for an imported surface: the acoustics support round tubes only."""
     if tube.surface is not None:
         raise ConfigError(
-            "is supported by the press alone, not by the sound", setting="surface",
-            value=tube.surface, advice="use acoustube indent for the press alone",
+            "applies to the indentation only", setting="surface", value=tube.surface,
+            advice="use acoustube indent",
         )  # fmt: skip
 
 
@@ -89,11 +89,10 @@ def check_position(
     """Raise if the part bent by a press at a position in cm reaches the probe plane or far end."""
     reach = pressed_reach(tube.outer_diameter_mm, indenter_mm) / MM_PER_CM
     reach += CLEARANCE * tube.outer_diameter_mm / MM_PER_CM
-    nearest = _round_up(waves.probe_cm + reach)
+    nearest, shortest = _nearest_and_shortest(tube.outer_diameter_mm, indenter_mm, waves)
     farthest = _round_down(tube.length_cm - reach)
     bends = f"the press takes {reach:.4g} cm of the tube on each side"
     if nearest > farthest:
-        shortest = _round_up(nearest + reach)
         raise ConfigError(
             f"is too short: {bends} and the probe plane is at {waves.probe_cm:g} cm",
             setting="length_cm", value=tube.length_cm, allowed=(shortest, math.inf),
@@ -198,6 +197,13 @@ def check_lowpass(tube: TubeSettings, waves: WaveSettings, lowpass: float) -> No
     record_ms = _record_ms(tube, waves)
     # The filter continues the record at both ends by three periods of the cut-off.
     lowest = _round_up(3 / record_ms)
+    if lowest > highest:
+        least = shortest_tube(waves, highest)
+        raise ConfigError(
+            f"is too short for a low-pass of at most half of frequency_khz, {highest:g} kHz",
+            setting="length_cm", value=tube.length_cm, allowed=(least, math.inf),
+            advice=f"use at least {least:g}, or a higher frequency_khz",
+        )  # fmt: skip
     if lowpass < lowest:
         raise ConfigError(
             f"is too slow for the {record_ms:.2f} ms of the round trip in a "
@@ -210,8 +216,35 @@ def check_lowpass(tube: TubeSettings, waves: WaveSettings, lowpass: float) -> No
         raise ConfigError(
             f"lets the rectified {waves.frequency_khz:g} kHz carrier through",
             setting="lowpass_khz", value=lowpass, allowed=(lowest, most),
-            advice=f"use at most {most:g}, under [signals] in a --config file",
+            advice=f"use at most {most:g}",
         )  # fmt: skip
+
+
+def _nearest_and_shortest(
+    outer_mm: float, indenter_mm: float, waves: WaveSettings
+) -> tuple[float, float]:
+    """Return the nearest position of a press, and the least length of a tube for it, in cm."""
+    reach = (pressed_reach(outer_mm, indenter_mm) + CLEARANCE * outer_mm) / MM_PER_CM
+    nearest = _round_up(waves.probe_cm + reach)
+    return nearest, _round_up(nearest + reach)
+
+
+def shortest_tube(waves: WaveSettings, lowpass: float) -> float:
+    """Return the least length in cm of a tube that suits the pulse and a low-pass in kHz."""
+    record_ms = max(3 / lowpass, waves.cycles / waves.frequency_khz)
+    return _round_up(sound_speed(waves.temperature_c) * record_ms / (2 * MM_PER_CM))
+
+
+def shortest_for_middle(outer_mm: float, indenter_mm: float, waves: WaveSettings) -> float:
+    """Return the least length in cm of a tube that can be pressed in its middle."""
+    nearest, shortest = _nearest_and_shortest(outer_mm, indenter_mm, waves)
+    return max(2 * nearest, shortest)
+
+
+def finest_needed(bore: float, waves: WaveSettings) -> int:
+    """Return the least number of grid cells across a bore in mm for the pulse's whole band."""
+    highest = waves.frequency_khz * (1 + BAND_WIDTH / waves.cycles)
+    return math.ceil(CELLS_PER_WAVELENGTH * bore * highest / sound_speed(waves.temperature_c))
 
 
 def _record_ms(tube: TubeSettings, waves: WaveSettings) -> float:

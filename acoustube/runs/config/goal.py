@@ -222,7 +222,7 @@ class DesignGoal:
         least = free.bore_mm[0] + 2 * free.wall_mm[0]
         if free.outer_mm < least:
             raise ConfigError(
-                f"is less than the smallest bore and twice the thinnest wall, {least:g} mm",
+                f"is less than the smallest bore plus twice the thinnest wall, {least:g} mm",
                 setting="outer_mm", value=free.outer_mm, advice="raise it or lower bore_mm",
             )  # fmt: skip
         # A wall as thick as the bore is wide resists kinking best.
@@ -230,8 +230,8 @@ class DesignGoal:
         stiffest = min(max(free.bore_mm[0], free.wall_mm[0]), thickest)
         if not self.bends(free.bore_mm[0], stiffest):
             raise ConfigError(
-                "kinks all tubes", setting="bend_radius_cm", value=goal.bend_radius_cm, unit="cm",
-                advice="bend less tightly, lower bore_mm, or allow thicker walls and outer_mm",
+                "kinks all tubes", setting="bend_radius_cm", value=goal.bend_radius_cm,
+                advice="raise it, lower bore_mm, or raise wall_mm and outer_mm",
             )  # fmt: skip
         if LEAST_RATE * free.carrier_khz[0] > max(free.rate_khz):
             raise ConfigError(
@@ -280,7 +280,8 @@ class DesignGoal:
             longest = max(lists, key=lambda name: len(lists[name]))
             raise ConfigError(
                 f"makes {count} rangefinders with the other lists", setting=longest,
-                value=list(lists[longest])[:4], advice=f"use at most {MOST_RANGEFINDERS}",
+                value=list(lists[longest])[:4],
+                advice=f"shorten it; {MOST_RANGEFINDERS} combinations are allowed",
             )  # fmt: skip
 
 

@@ -214,8 +214,10 @@ def robustness_of(
         made = compute(wanted)
         cases: list[tuple[str, Sequence[PressedTube] | str, float]] = []
         cases.append((f"bore {sign * PERCENT * CHANGES['bore']:+g} %", made[other], spec.shore))
-        words = f"{sign * CHANGES['hardness']:+g} Shore A"
-        cases.append((words, tubes if table else made[stiff], shore))
+        if shore != spec.shore:
+            cases.append(
+                (f"{shore - spec.shore:+g} Shore A", tubes if table else made[stiff], shore)
+            )
         for name, parts, hardness in cases:
             if not isinstance(parts, str):
                 known = known_of(design, parts, hardness)
@@ -229,8 +231,9 @@ def robustness_of(
         )  # fmt: skip
         heated = [warmed(tube, warm.goal.temperature_c) for tube in tubes]
         known = known_of(warm, heated, spec.shore)
-        words = f"{sign * CHANGES['temperature']:+g} K"
-        found[words] = evaluated(warm, known, candidate).objectives
+        change = warm.goal.temperature_c - design.goal.temperature_c
+        if change:
+            found[f"{change:+g} K"] = evaluated(warm, known, candidate).objectives
     return found
 
 

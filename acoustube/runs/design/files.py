@@ -14,7 +14,9 @@ from acoustube.base.units import CM, KHZ
 from acoustube.inversion.baseband import CHIRP_BAND
 from acoustube.ranging import Burst, Chirp
 from acoustube.runs.config import configured, to_toml
+from acoustube.runs.config.checks import finest_needed, shortest_for_middle, shortest_tube
 from acoustube.runs.config.goal import DesignGoal
+from acoustube.runs.config.settings import WaveSettings
 from acoustube.runs.design.candidates import Candidate
 from acoustube.runs.sensor_file import OF_OTHERS, add_rangefinder
 
@@ -64,12 +66,20 @@ def config_toml(design: DesignGoal, candidate: Candidate) -> str:
     ground: dict[str, Any] = {"support": "held"}
     if goal.support == "arm":
         ground = {"support": "free", "layer_mm": goal.layer_mm, "layer_mpa": goal.layer_mpa}
+    waves = WaveSettings(
+        frequency_khz=round(KHZ * r.resonance, 4), temperature_c=goal.temperature_c,
+        cycles=min(max(round(r.drive.duration * r.drive.frequency), 2), 100),
+    )  # fmt: skip
+    outer, low_pass = spec.bore + 2 * spec.wall, min(10.0, waves.frequency_khz / 2)
+    length = max(
+        CM * goal.reach_m, shortest_for_middle(outer, goal.tools_mm[0], waves),
+        shortest_tube(waves, low_pass),
+    )  # fmt: skip
     config = configured(
         {}, inner_diameter_mm=spec.bore, wall_mm=spec.wall, shore_a=round(spec.shore, 3),
-        length_cm=max(CM * goal.reach_m, 20.0), indenter_mm=goal.tools_mm[0],
-        depth_mm=round(spec.bore / 2, 3), frequency_khz=round(KHZ * r.resonance, 4),
-        cycles=min(max(round(r.drive.duration * r.drive.frequency), 2), 100),
-        temperature_c=goal.temperature_c, method="spectral",
-        losses="on", **ground,
+        length_cm=length, indenter_mm=goal.tools_mm[0], depth_mm=round(spec.bore / 2, 3),
+        frequency_khz=waves.frequency_khz, cycles=waves.cycles,
+        resolution=max(waves.resolution, finest_needed(spec.bore, waves)),
+        temperature_c=goal.temperature_c, method="spectral", losses="on", **ground,
     )  # fmt: skip
     return to_toml(config)

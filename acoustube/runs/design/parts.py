@@ -9,7 +9,8 @@ import numpy as np
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ
 from acoustube.inversion.design import Electronics, Pairs, PressedTube, predict, predict_pairs
-from acoustube.inversion.design.prediction import electronics_of, on_device, score
+from acoustube.inversion.design.electronics import electronics_of
+from acoustube.inversion.design.prediction import on_device, score
 from acoustube.runs.config.goal import DesignGoal
 from acoustube.runs.design.candidates import Candidate
 from acoustube.runs.design.search import contacts_of, known_of, modulus_of

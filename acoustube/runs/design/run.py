@@ -8,7 +8,7 @@ from typing import NamedTuple
 from acoustube.base.checks import Optional, checked
 from acoustube.base.errors import SimulationError
 from acoustube.base.interrupts import watched_interrupts
-from acoustube.base.report import SILENT, Reporter, time_in_words
+from acoustube.base.report import SILENT, Reporter, counted, time_in_words
 from acoustube.base.rules import Number
 from acoustube.base.units import KHZ
 from acoustube.inversion.design import PressedTube
@@ -39,7 +39,7 @@ from acoustube.runs.sweep.run import run_with_progress
 from acoustube.runs.sweep.workers import Workers, count_of, worker_pool
 
 ASSUMED = (
-    ("Presses are on the coarse mesh; what the calibration leaves of clutter is not contained."),
+    ("Presses are computed on the coarse mesh; clutter that calibration leaves is not included."),
     (
         "Level, noise and ring-down of the electronics are those of the default rangefinder at "
         "every carrier; of a loudspeaker those of acoustube.ranging.LOUDSPEAKER."
@@ -78,12 +78,12 @@ class Designed(NamedTuple):
         found = []
         if all(one.shortfalls(self.design) for one in self.front):
             found.append(
-                "No candidate meets the goal; the recommended sensors miss it by least in reach, "
+                "No candidate meets the goal; the recommended sensors come closest to it in reach, "
                 "resolution, place and nearest press."
             )
         if self.failed:
             found.append(
-                f"{len(self.failed)} tubes could not be computed, the first: "
+                f"{counted(len(self.failed), 'tube')} could not be computed, the first: "
                 f"{next(iter(self.failed)).words}: {next(iter(self.failed.values()))}"
             )
         return [*found, *ASSUMED]
@@ -207,9 +207,9 @@ def summary(found: Designed) -> list[tuple[str, str]]:
         row = one.candidate.row
         words = (
             f"{one.candidate.tube.words}, {row['carrier_khz']:g} kHz, {row['cycles']:g} cycles, "
-            f"{row['ends']} end(s): reach {row['reach_m']:g} m, force {row['force_percent']:g} % "
-            f"(median {row['force_median_percent']:g} %), two presses {row['resolution_cm']:g} cm, "
-            f"place {row['place_mm']:g} mm"
+            f"{counted(row['ends'], 'end')}: reach {row['reach_m']:g} m, force "
+            f"{row['force_percent']:g} % (median {row['force_median_percent']:g} %), two presses "
+            f"{row['resolution_cm']:g} cm, place {row['place_mm']:g} mm"
         )
         if short := one.candidate.shortfalls(found.design):
             words += f"; misses the goal: {', '.join(short)}"

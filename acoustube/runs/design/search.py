@@ -21,7 +21,8 @@ from acoustube.inversion.design import (
     information,
     predict,
 )
-from acoustube.inversion.design.prediction import electronics_of, on_device, score
+from acoustube.inversion.design.electronics import electronics_of
+from acoustube.inversion.design.prediction import on_device, score
 from acoustube.ranging import Burst, Chirp
 from acoustube.runs.config.goal import LEAST_RATE, DesignGoal
 from acoustube.runs.design.candidates import (

@@ -91,7 +91,7 @@ def scattering_at(plan: ToolPlan, depth: float, part: Lumen) -> Done[SpectralSca
                 part, plan.settings.air, plan.band, lossy=plan.settings.lossy, share=GOOD_SHARE
             )
     except ConfigError as reason:
-        return Done(str(reason), False)
+        return Done(str(reason).partition(";")[0], False)
     scattering_file.keep(name, found, f"library: {MM * depth:.4g} mm of {plan.words}")
     return Done(found, False)
 
@@ -241,13 +241,13 @@ def build_library(
     first, settings = plans[0].first, plans[0].settings
     report.title("a library")
     report.rows([
-        ("tools", "\n".join(plan.words for plan in plans)),
+        ("indenters", "\n".join(plan.words for plan in plans)),
         ("depths", (f"{MM * first[0]:g} to {MM * first[-1]:g} mm, "
                     f"{len(plans[0].pressed)} presses")),
         ("band", "{:g} to {:g} kHz".format(*(KHZ * edge for edge in plans[0].band))),
         ("air", f"{settings.temperature:g} degC, {settings.air.sound_speed:.2f} m/s"),
         ("expected", (f"{time_in_words(sum(map(sum, costs)) / count)} on {count} workers; "
-                     f"{len(plans) - len(todo)} of {len(plans)} tools finished")),
+                     f"{len(plans) - len(todo)} of {len(plans)} indenters finished")),
     ])  # fmt: skip
     if not all(plan.settings.lossy for plan in plans):
         report.note(
@@ -352,7 +352,8 @@ class _Builder:
         depths = self.refinement.next()
         if depths:
             return self._scatter(depths)
-        if len(self.refinement.depths) < FEWEST_DEPTHS:
+        known = len(self.refinement.depths)
+        if known < FEWEST_DEPTHS or not np.all(np.isfinite(self.refinement.between())):
             return self._give_up(self.refinement.reason)
         if self.refinement.reason:
             last = MM * self.refinement.depths[-1]

@@ -171,7 +171,7 @@ def open_library(path: str | Path) -> Library:
             raise ConfigError(f"{path} does not exist; {ADVICE}")
         files = sorted(found.glob(PATTERN)) if found.is_dir() else [found]
     if not files:
-        raise ConfigError(f"{path} holds no tool of a library; {ADVICE}")
+        raise ConfigError(f"{path} holds no file of a library; {ADVICE}")
     tools = []
     for file in files:
         with reading(file, FAILURE, ADVICE):

@@ -114,7 +114,7 @@ def tool_plans(
     ----------
     over : mapping of str to sequence of str
         Settings with their values or ranges, as :func:`acoustube.runs.sweep.plan.load_plan` takes
-        them; each combination of values other than depths is a tool.
+        them; each combination of values of the tube and the press, other than depths, is a tool.
     tolerance : float
         See :class:`ToolPlan`.
     path : str or Path, optional
@@ -133,11 +133,16 @@ def tool_plans(
 
 def _tool(path: LoadPath, tolerance: float, band: tuple[float, float] | None) -> ToolPlan:
     config, settings = path.groups[0].cases[0].config, path.settings
+    own = [case.config for group in path.groups for case in group.cases]
+    if len({replace(one.waves, source_end="release") for one in own}) > 1:
+        raise ConfigError(
+            "a library is of one frequency and one air; make a library for each"
+        )
     if settings.surface is not None:
         raise ConfigError("libraries are computed for round tubes only; leave out surface")
     if len(path.depths) < FEWEST_DEPTHS:
         raise ConfigError(
-            f"a library needs {FEWEST_DEPTHS} or more depths of a tool; give a range such as "
+            f"a library needs {FEWEST_DEPTHS} or more depths of an indenter; give a range such as "
             "--depth 1:8:0.25"
         )
     widest = WIDEST_STEP * settings.tube.inner_diameter

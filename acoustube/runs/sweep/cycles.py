@@ -99,6 +99,7 @@ class Recipe:
             clutter_spread=Number(0, 1, "1/m"),
             young_modulus=Optional(Number(1e-3, 1e15, "Pa")),
         )  # fmt: skip
+        object.__setattr__(self, "reflectors", tuple(map(float, self.reflectors)))
         for name, deviation in self.spread:
             Choice(SPREAD).check("spread", name)
             Number(0, 10).check(f"spread of {name}", deviation)
@@ -215,16 +216,21 @@ def _recorded(name: str, path: Path, recipe: Recipe) -> Iterator[xr.Dataset]:
                 seed=seed_of(name, tube, number, recipe.seed),
                 session_seed=session,
                 tube_seed=seed_of(tube, recipe.seed),
-                reflectors=_reflectors(recipe, session) if measured else None,
+                reflectors=(
+                    _reflectors(recipe, session, settings.tube.length) if measured else None
+                ),
             )
             names = {"press": name, "tube": tube, "session": f"{tube}-{number}"}
             labelled = _labelled(cycles, case, settings, names)
             yield _with_modulus(labelled, settings, recipe.young_modulus)
 
 
-def _reflectors(recipe: Recipe, seed: int) -> Array:
-    """Return the reflection coefficients of the first specimen's irregularities in a session."""
-    mean = np.array(recipe.reflectors)
+def _reflectors(recipe: Recipe, seed: int, length: float) -> Array:
+    """Return the reflection coefficients of the first specimen's irregularities in a session.
+
+    Those beyond the tube's end, of `length` in m, are left out.
+    """
+    mean = np.array(recipe.reflectors)[: int(np.ceil(length / MEASURED_SPACING))]
     if recipe.clutter_spread == 0:
         return mean
     deviation = np.sqrt(recipe.clutter_spread * MEASURED_SPACING)
@@ -243,7 +249,7 @@ def in_session(rangefinder: Rangefinder, seed: int, recipe: Recipe) -> Rangefind
     if recipe.offset_deviation is not None:
         bias = np.random.default_rng(seed).normal(most, recipe.offset_deviation)
         return dataclasses.replace(rangefinder, temperature_bias=float(bias))
-    bias = np.random.default_rng(seed).uniform(-most, most) if most > 0 else most
+    bias = np.random.default_rng(seed).uniform(-abs(most), abs(most)) if most else 0.0
     return dataclasses.replace(rangefinder, temperature_bias=float(bias))
 
 

@@ -63,10 +63,11 @@ CARD_TEXT = """\
 
 ## How it was made
 
-acoustube {version}: each press by finite elements, its scattering of sound by finite differences,
-the tube's sound from both with wall losses, and the rangefinder's burst, ring-down, amplifier,
-noise and ADC. Cycles of a case differ by noise, drift and reported temperature; the seed is {seed}.
-Parameters of the rangefinder are in the files, the settings of each case in the sweep.
+acoustube {version}: each press by finite elements, its scattering of sound by finite differences or
+the spectral solver, the tube's sound from both with wall losses, and the rangefinder's burst,
+ring-down, amplifier, noise and ADC. Cycles of a case differ by noise, drift and reported
+temperature; the seed is {seed}. Parameters of the rangefinder are in the files, the settings of
+each case in the sweep.
 
 ## Ranges
 
@@ -153,7 +154,7 @@ def run_dataset(
     data = open_dataset(folder)
     write(folder / CARD, card(data, recipe), overwrite=True)
     elapsed = time_in_words(time.perf_counter() - started)
-    report.line(f"{data.sizes['cycle']} cycles written to {folder} in {elapsed}.")
+    report.line(f"{counted(data.sizes['cycle'], 'cycle')} written to {folder} in {elapsed}.")
     return folder
 
 
@@ -256,8 +257,14 @@ def _task(
 
 
 def _check_band(parts: Mapping[str, Sequence[tuple[str, Path]]], recipe: Recipe) -> None:
-    """Raise if the rangefinder's band exceeds that of a press's scattering matrix."""
+    """Raise if a press has no scattering matrix, or the rangefinder's band exceeds that of one."""
     first = {path: name for cases in parts.values() for name, path in cases}
+    for path, name in first.items():
+        if store.lacks_scattering(path):
+            raise ConfigError(
+                f"case {name} has no scattering matrix, since it was simulated as a whole tube; "
+                "sweep with --method scattering or spectral"
+            )
     alike = {store.sound_of(path): (path, name) for path, name in first.items()}
     for path, name in alike.values():
         try:

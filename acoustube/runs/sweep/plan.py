@@ -165,7 +165,7 @@ def _check_axis(name: str, values: Values | Interval, *, random: bool) -> None:
         if not random:
             raise ConfigError(
                 f"{name} = {values} is a range without a step; give {values}:STEP, or in a sweep "
-                "--random and the number of its cases"
+                "count (--random), the number of random cases"
             )
         if not -math.inf < values.low < values.high < math.inf:
             raise ConfigError(f"{name} = {values} must have low < high")
@@ -261,7 +261,7 @@ def load_plan(
     for section in shared:
         shared[section] = {n: v for n, v in shared[section].items() if n not in axes}
     if numbers.get("count") and not axes:
-        raise ConfigError("a random plan needs a range; give one such as --depth 1:8")
+        raise ConfigError("a random plan needs a range; give one, such as 1:8 for depth_mm")
     return Plan(given=shared, over=axes, cases=cases, **numbers)
 
 

@@ -84,7 +84,7 @@ def totals_of(paths: Sequence[LoadPath]) -> Totals:
     pressed = [path for path in paths if path.presses]
     matrices = [group for group in groups if group.band is not None]
     return {
-        "path": (len(pressed), sum(map(path_cost, pressed))),
+        "load paths": (len(pressed), sum(map(path_cost, pressed))),
         "scattering": (len(matrices), sum(map(matrix_cost, matrices))),
         "cases": (
             sum(len(group.cases) for group in groups),

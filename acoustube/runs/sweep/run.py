@@ -291,7 +291,7 @@ def report_work(work: Work, workers: int, report: Reporter, scale: Scale | None 
     report.rows(
         [
             ("cases", f"{work.n_cases}, {state}"),
-            ("paths of presses", f"{n_paths}, {known_paths} cached"),
+            ("load paths", f"{n_paths}, {known_paths} cached"),
             ("scattering matrices", f"{n_matrices}, {known_matrices} cached"),
             ("expected", f"{needed} of memory, {size / 1e6:.3g} MB of disk"),
         ]
@@ -304,9 +304,10 @@ def _report_end(
     """Report the numbers of computed tasks and cases, and the failed cases with the reasons."""
     if done:
         report.line(
-            f"paths: {done['path computed']} computed, {done['path reused']} reused; scattering: "
-            f"{done['scattering computed']} computed, {done['scattering reused']} reused; cases: "
-            f"{done['case']} computed"
+            f"load paths: {done['load paths computed']} computed, "
+            f"{done['load paths reused']} reused; "
+            f"scattering: {done['scattering computed']} computed, "
+            f"{done['scattering reused']} reused; cases: {done['case']} computed"
         )
     else:
         report.line("nothing to compute")
@@ -314,5 +315,8 @@ def _report_end(
         report.failure(f"{name}: {reason}")
     if failed:
         more = f", {len(failed) - LISTED} more in {store.FAILURES}/" * (len(failed) > LISTED)
-        report.failure(f"{len(failed)} cases{more}; try them again with --retry failed")
+        them = "it" if len(failed) == 1 else "them"
+        report.failure(
+            f"{counted(len(failed), 'case')}{more}; try {them} again with --retry failed"
+        )
     report.line(f"Written to {folder} in {time_in_words(seconds)}.")

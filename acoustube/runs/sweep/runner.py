@@ -54,7 +54,7 @@ class Runner:
 
     def _press(self, path: LoadPath) -> Task:
         def then(done: sweep_tasks.Done[sweep_tasks.PressPath]) -> list[Task]:
-            self._count("path", done.reused, path_cost(path))
+            self._count("load paths", done.reused, path_cost(path))
             tasks = []
             for group in path.groups:
                 if group.depth in done.result.at:
@@ -64,7 +64,7 @@ class Runner:
             return tasks
 
         def failed(reason: str) -> None:
-            self.board.count("path", path_cost(path))
+            self.board.count("load paths", path_cost(path))
             for group in path.groups:
                 if group.depth > 0:
                     self._fail(group.cases, reason, group)

@@ -150,6 +150,14 @@ def read(path: Path) -> tuple[xr.Dataset, xr.Dataset | None]:
     return data, matrix
 
 
+def lacks_scattering(path: Path) -> bool:
+    """Return whether a file has pressed cases without a scattering matrix."""
+    import h5py
+
+    with h5py.File(path) as file:
+        return SCATTERING not in file and bool(np.any(file["depth"][:] > 0))
+
+
 def sound_of(path: Path) -> tuple[bytes, ...]:
     """Return bore, air, carrier and scattering's frequencies of a file, as bytes to compare."""
     import h5py

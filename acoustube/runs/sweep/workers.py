@@ -43,7 +43,9 @@ def dask_executor(address: str) -> tuple[Executor, int]:
     try:
         from distributed import Client
     except ImportError as error:
-        raise ConfigError("dask needs the package distributed; install acoustube[dask]") from error
+        raise ConfigError(
+            "dask needs the package distributed; run pip install 'acoustube[dask]'"
+        ) from error
     try:
         _reach(address)
         client = _connected(Client, address)
@@ -304,7 +306,7 @@ def _again(task: Task, waiting: deque[Task], lost: Counter[Task]) -> None:
         waiting.appendleft(task)
     else:
         task.failed(
-            f"its worker process died {ATTEMPTS} times (often: out of memory); use fewer --workers"
+            f"its worker process died {ATTEMPTS} times (often: out of memory); use fewer workers"
         )
 
 
