@@ -25,7 +25,8 @@ from acoustube.base import cache
 from acoustube.indentation import DepthPath
 from acoustube.inversion import Library, Priors, Tool
 from acoustube.inversion.design import Contacts
-from acoustube.inversion.design.prediction import electronics_of, predict
+from acoustube.inversion.design.electronics import electronics_of
+from acoustube.inversion.design.prediction import predict
 from acoustube.lumen import pressed_part
 from acoustube.ranging import Rangefinder, record
 from acoustube.runs import inversion, presses, scattering_file, sound

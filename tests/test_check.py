@@ -132,4 +132,4 @@ def test_read_only_cache_is_reported(monkeypatch, capsys, tmp_path):
     monkeypatch.setenv("ACOUSTUBE_CACHE", str(tmp_path / "file" / "cache"))
     only(monkeypatch, fixed(1.0))
     assert main(["check"]) == 0
-    assert "set ACOUSTUBE_CACHE to a folder that can" in capsys.readouterr().out
+    assert "set ACOUSTUBE_CACHE to a writable folder" in capsys.readouterr().out

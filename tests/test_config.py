@@ -126,7 +126,7 @@ def test_only_a_sweep_includes_the_untouched_tube():
     [(0.5e-3, "full", True), (1.2e-3, "full", False), (0.5e-3, "spectral", False)],
 )
 def test_sound_of_a_closing_lumen_is_computed_with_a_warning(monkeypatch, height, method, warns):
-    """By the height of the lumen, since a soft ground sinks too; the spectral solver has no cells."""
+    """By the height of the lumen: a soft ground sinks too. The spectral solver has no cells."""
     settings = settings_in_si(load_config(depth_mm=8, method=method))
     monkeypatch.setattr(
         simulation, "measure", lambda *_: SimpleNamespace(height=np.array([height]))

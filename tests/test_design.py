@@ -27,9 +27,15 @@ from acoustube.inversion.design import (
     predict_pairs,
 )
 from acoustube.inversion.design import prediction as predicting
-from acoustube.inversion.design.prediction import HALF_WAVES, electronics_of, score, spectrum
+from acoustube.inversion.design.electronics import (
+    BAND_EDGE,
+    BAND_ROLL,
+    electronics_of,
+    spectrum,
+)
+from acoustube.inversion.design.prediction import HALF_WAVES, score
 from acoustube.lumen import pressed_part
-from acoustube.ranging import Burst, Chirp, Rangefinder
+from acoustube.ranging import Burst, Chirp, Rangefinder, Tones
 from acoustube.runs import presses, sound
 from acoustube.runs.config import load_config, to_toml
 from acoustube.runs.config.goal import DesignGoal, Goal, Variables, read_goal
@@ -38,6 +44,7 @@ from acoustube.runs.design import run as running
 from acoustube.runs.design import search as searching
 from acoustube.runs.design import tubes as making
 from acoustube.runs.design.candidates import Candidate, Choice, choices_of, rangefinder_of
+from acoustube.runs.design.files import config_toml
 from acoustube.runs.design.parts import ranges_of
 from acoustube.runs.design.search import Search, front_of
 from acoustube.runs.design.tubes import Sounded, TubeSpec, band_of, plan_of
@@ -87,6 +94,60 @@ def test_nonsense_is_refused_with_the_name_of_the_argument(argument, value):
         predicting.predict(information(**good), value)
 
 
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"force": np.array([1.0, 2.0])}, "depth has shape .13,. and force has shape .2,."),
+        ({"depth": np.arange(13) * 1e-3}, "a depth of 0 m"),
+        ({"force": np.arange(13.0)}, "a force of 0 N"),
+    ],
+)
+def test_tube_without_a_force_at_each_depth_over_zero_is_refused(changes, words):
+    with pytest.raises(ConfigError, match=words):
+        analytic(**changes)
+
+
+def test_contact_of_a_tool_without_a_tube_is_refused():
+    other = dataclasses.replace(contacts([0.5, 0.7], [20.0, 30.0]), tool=[0, 1])
+    for predicted in (
+        lambda: information([passing()], other),
+        lambda: predict_pairs([passing()], other, electronics_of(Rangefinder()), 0.15),
+    ):
+        with pytest.raises(ConfigError, match="a contact is of tool 1"):
+            predicted()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"drive": Burst(shape="sine")}, "not predicted for the drive Burst"),
+        ({"drive": Chirp(frequency=42e3, window="hann")}, "not predicted for the drive Chirp"),
+        ({"drive": Tones()}, "not predicted for the drive Tones"),
+        ({"resonance": 43e3}, "the transducer a resonance of 43 kHz"),
+    ],
+)
+def test_pulse_whose_errors_are_not_predicted_is_refused(changes, words):
+    flat = dataclasses.replace(Rangefinder(), resonance=43e3, quality_factor=0.0)
+    assert electronics_of(flat).carrier == 42e3  # a flat transducer has no resonance
+    with pytest.raises(ConfigError, match=words):
+        electronics_of(dataclasses.replace(Rangefinder(), **changes))
+
+
+def test_reach_is_that_of_the_tool_with_the_shortest_one():
+    """Each of two tools reflects well in one half of the band: together they reach no less."""
+    low = BAND < 42e3
+    tubes = [
+        analytic(reflection=analytic().reflection * np.where(part, 1.0, 0.05))
+        for part in (low, ~low)
+    ]
+    given, usual = contacts(np.full(8, 0.5), np.full(8, 20.0)), electronics_of(Rangefinder())
+    one, other, both = (
+        float(predict(information(some, given), usual).reach)
+        for some in (tubes[:1], tubes[1:], tubes)
+    )
+    assert both == pytest.approx(min(one, other), rel=1e-6)
+
+
 def test_square_burst_has_the_spectrum_of_the_rangefinders_own():
     """Spectra agree for whole half periods, and the design's is continuous between them."""
     with jax.enable_x64(True):
@@ -99,6 +160,11 @@ def test_square_burst_has_the_spectrum_of_the_rangefinders_own():
             exact = np.abs(r.drive.spectrum(f) * r.resonator(f) ** 2) ** 2
             found = np.asarray(spectrum(BAND, electronics_of(r)))
             np.testing.assert_allclose(found, exact, rtol=1e-8, atol=1e-12 * exact.max())
+
+
+def test_score_of_three_goals_is_refused(known):
+    with pytest.raises(ConfigError, match="asked holds 3 goals; give four"):
+        gradient(known, electronics_of(Rangefinder()), ASKED[:3])
 
 
 def test_gradient_of_the_score_is_that_of_differences(known):
@@ -159,7 +225,7 @@ def bound(known, electronics):
 def weight_of(known, electronics):
     carrier, _, _, level, rate, *_ = electronics
     f = known.frequency
-    sides = (predicting.BAND_EDGE - 7 * np.abs(f / carrier - 1)) / predicting.BAND_ROLL
+    sides = (BAND_EDGE - 7 * np.abs(f / carrier - 1)) / BAND_ROLL
     power = np.asarray(spectrum(f, electronics)) / (1 + np.exp(-4 * sides))
     return 2 * rate * (f[1] - f[0]) * level**2 * power
 
@@ -268,7 +334,7 @@ def test_resolution_is_that_of_the_bandwidth(known):
     usual = electronics_of(Rangefinder())
     f = known.frequency
     power = np.asarray(spectrum(f, usual))
-    sides = (predicting.BAND_EDGE - 7 * np.abs(f / usual.carrier - 1)) / predicting.BAND_ROLL
+    sides = (BAND_EDGE - 7 * np.abs(f / usual.carrier - 1)) / BAND_ROLL
     power = power / (1 + np.exp(-4 * sides))
     width = np.trapezoid(power, f) ** 2 / np.trapezoid(power**2, f)
     expected = np.hypot(known.sound_speed / (2 * width), predicting.OWN_LENGTH)
@@ -465,6 +531,19 @@ def test_command_writes_front_sensors_maps_and_page(tmp_path):
     again = run_here(*words)
     assert again.returncode == 2
     assert "not empty" in again.stderr
+
+
+@pytest.mark.parametrize(
+    ("bore", "carrier", "cycles"), [(12, 42e3, 3), (5, 5e3, 13), (12, 5e3, 13)]
+)
+def test_settings_of_any_candidate_are_valid(bore, carrier, cycles):
+    """Resolution and length are those that its carrier, its pulse and the indenter need."""
+    goal = Goal(reach_m=0.2, nearest_m=0.1, tools_mm=(80.0,))
+    design = DesignGoal(goal=goal)
+    own = Choice("resonant", 15.0, 0.0, 500e3, 12, 1)
+    made = rangefinder_of(design, carrier, cycles, own)
+    one = Candidate(tube=TubeSpec(bore, 1.5, 35.0), rangefinder=made, ends=1, found=None, score=0.0)
+    assert f"inner_diameter_mm = {bore}" in config_toml(design, one)
 
 
 @pytest.mark.usefixtures("quick")

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 import xarray as xr
 from commands import run_here
+from scipy.stats import norm
 
 from acoustube.air import air_at
+from acoustube.base.errors import ConfigError
 from acoustube.cli import main
 from acoustube.inversion import (
     Baseband,
@@ -19,6 +21,7 @@ from acoustube.inversion import (
     Library,
     Priors,
     Tool,
+    Wrap,
     baseband_of,
     measured_clutter,
 )
@@ -29,9 +32,11 @@ from acoustube.inversion.likelihood import Weights, deviance_of, echo_of
 from acoustube.inversion.model_error import restricted_deviance
 from acoustube.inversion.network import Waves, echo
 from acoustube.inversion.paths import StraightPath
+from acoustube.inversion.posterior import mixture
+from acoustube.inversion.proposals import PlaneFilter
 from acoustube.inversion.quantiser import linearised
 from acoustube.inversion.tables import FrontCoefficients, Matrices, ToolTable
-from acoustube.ranging import Rangefinder, record
+from acoustube.ranging import Burst, Chirp, Rangefinder, record
 from acoustube.recordings import write
 from acoustube.reports.figures.posterior import posterior_figure
 from acoustube.runs.inversion import RecordingInverter, Sensor
@@ -244,6 +249,41 @@ def test_jacobian_is_that_of_differences(model, places):
         assert np.abs(jacobian[i] - difference).max() < 1e-6 * np.abs(difference).max(), i
 
 
+def test_clutter_is_constant_beyond_the_temperatures_of_its_table(model):
+    """Beyond 1.5 K; the derivative by temperature is that of this constant."""
+    warm = np.array([-2.0, -1.5, 1.4, 1.5, 2.0])
+    value, by_place, by_temperature = model.clutter.beyond(np.full(5, 0.7), warm)
+    assert np.allclose(value[[0, 4]], value[[1, 3]], rtol=1e-5)
+    assert np.allclose(by_place[[0, 4]], by_place[[1, 3]], rtol=1e-5)
+    assert np.all(by_temperature[[0, 4]] == 0)
+    assert np.all(np.abs(by_temperature[2]) > 0)
+
+
+def test_density_of_an_estimate_is_that_of_its_mixture_at_values_of_any_shape():
+    found = mixture(np.array([0.25, 0.75]), np.array([1.0, 2.0]), np.array([0.5, 0.1]))
+    at = np.array([[1.0, 1.5], [2.0, 2.1]])
+    expected = 0.25 * norm.pdf(at, 1.0, 0.5) + 0.75 * norm.pdf(at, 2.0, 0.1)
+    assert found.density(at) == pytest.approx(expected)
+    assert found.density(1.5) == pytest.approx(expected[0, 1])
+
+
+def test_lists_of_a_tool_or_a_wrap_are_arrays():
+    usual = tool()
+    lists = {name: getattr(usual, name).tolist() for name in ("depth", "force", "force_error")}
+    listed = dataclasses.replace(usual, modes=list(MODES), **lists)
+    assert len(Library((usual, listed)).tools) == 2
+    assert listed.force_at(4e-3) == usual.force_at(4e-3)
+    assert listed.force_deviation(4e-3) == usual.force_deviation(4e-3)
+    assert (2 * listed.force).shape == usual.force.shape
+    wrap = Wrap(place=[0.2, 0.6], curvature=[10, 12], torsion=[1, 2]).from_other_end(1.0)
+    assert wrap.place.tolist() == [0.4, 0.8]
+
+
+def test_unsigned_frequencies_in_falling_order_are_refused():
+    with pytest.raises(ConfigError, match="frequency of a tool must increase"):
+        tool(frequency=FREQUENCY[::-1].astype(np.uint32))
+
+
 def test_forward_model_is_the_recording_of_the_rangefinder(library):
     """Both without noise, clutter and far end, in the window that the inversion uses."""
     silent = Rangefinder(clutter=0.0, noise=0.0, drift=0.0, quantised=False, far_reflection=0.0)
@@ -268,6 +308,46 @@ def test_press_is_found_at_its_place_and_depth(inverter, place, depth):
     assert contact.probability > 0.99
     assert found.fits
     assert found.temperature.value == pytest.approx(0.2, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"modes": MODES[:2]}, "first modes of the library are 00, 11c, 21c"),
+        ({"modes": (MODES[0], MODES[2], MODES[1])}, "those of the baseband 00, 21c, 11c"),
+        ({"radius": 3e-3}, "a bore of 7.9 mm and the baseband of 6 mm"),
+        ({"rangefinder": Rangefinder(drive=Burst(frequency=50e3))}, "needs 42.4.* to 57.* kHz"),
+        ({"rangefinder": Rangefinder(drive=Burst(frequency=34e3))}, "library covers 30 to 53.9"),
+    ],
+)
+def test_library_of_other_modes_bore_or_band_than_the_baseband_is_refused(library, changes, words):
+    given = {"rangefinder": Rangefinder(), "radius": RADIUS, "temperature": 20.0, "modes": MODES}
+    ForwardModel(library, Baseband(length=1.0, **given))
+    with pytest.raises(ConfigError, match=words):
+        ForwardModel(library, Baseband(length=1.0, **(given | changes)))
+
+
+def test_tube_that_the_ring_down_covers_has_no_place_for_a_press():
+    long = Rangefinder(drive=Chirp(frequency=42e3, bandwidth=10e3, duration=5e-3))
+    with pytest.raises(ConfigError, match=r"length 0\.9 m has no place for a press beyond 1\.0"):
+        ForwardModel(Library((tool(),)), Baseband(long, RADIUS, 0.9, 20.0, MODES))
+
+
+def test_press_is_sought_up_to_the_end_of_the_span(library):
+    """That is 2 cm before the end of the tube; places are searched in steps of 3 mm."""
+    base, place, depth = Baseband(Rangefinder(), RADIUS, 1.0, 20.0, MODES), 0.975, 5e-3
+    free, pressed = (
+        record(presses, n_cycles=20, length=1.0, tube_seed=7, seed=seed)["signal"].values
+        for seed, presses in enumerate(([], [press(depth, place)]))
+    )
+    model = ForwardModel(library, base, measured_clutter(base, free))
+    assert model.span[1] == pytest.approx(0.98)
+    assert PlaneFilter(model, 0, base.noise(1)).places[-1] > model.span[1] - 3.1e-3
+    found = Inverter(model, most=1)(pressed)
+    assert found.fits
+    (contact,) = found.contacts
+    assert contact.distance.value == pytest.approx(place, abs=3e-4)
+    assert contact.depth.value == pytest.approx(depth, abs=5e-5)
 
 
 @pytest.mark.slow
@@ -531,7 +611,7 @@ def test_limit_of_detection_rises_with_distance_and_ends(inverter):
     assert limit[0] < limit[1] < 3e-3
     assert limit[2] == np.inf
     assert np.all(np.isnan(limit[3:]))
-    with pytest.raises(ValueError, match="the library has 1"):
+    with pytest.raises(ValueError, match="tool = 1 is out of range; use 0"):
         found.detection_limit([0.3], tool=1)
 
 
@@ -669,7 +749,7 @@ def test_length_that_a_recording_states_counts_more_than_that_of_the_sensor_s_fi
 @pytest.mark.parametrize(
     ("name", "sensor", "reason"),
     [
-        ("slow.npz", "", "sampling rate of 60000 Hz folds the band"),
+        ("slow.npz", "", "sampling rate of 60000 Hz aliases the band"),
         ("volts.npz", "", "not counts of a converter of 12 bits"),
         ("p0.nc", "sampling_rate = 100e3", "has 200000 samples per second and the sensor 100000"),
         ("p0.nc", "resonant = 4", "resonant is not a parameter"),

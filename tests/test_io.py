@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from acoustube.base.errors import ConfigError
-from acoustube.base.files import check_out, fresh_folder, partial_folder, publish
+from acoustube.base.files import check_new_file, check_out, fresh_folder, partial_folder, publish
 
 
 def test_new_nested_and_empty_folders_are_accepted_without_a_trace(tmp_path):
@@ -57,6 +57,18 @@ def test_folder_appears_when_the_block_ends(tmp_path, name):
         assert publish(partial, final) == final
     assert [path.name for path in final.iterdir()] == ["run.nc"]
     assert not partial.exists()
+
+
+def test_folder_in_the_home_is_published_there(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    with partial_folder("~/run") as partial:
+        assert publish(partial, "~/run") == tmp_path / "run"
+
+
+def test_name_longer_than_a_file_can_have_is_refused(tmp_path):
+    path = tmp_path / f"{300 * 'a'}.csv"
+    with pytest.raises(ConfigError, match=r"table = .* is no name of a file"):
+        check_new_file(path, "table")
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])

@@ -114,7 +114,7 @@ def test_four_depths_whose_middles_fail_are_no_tool():
     ("words", "reason"),
     [
         (["--indenter", 25, "--depth", 3], "needs 4 or more depths"),
-        (["--indenter", 25, "--depth", "1:3:0.5", "--frequency", 40, 42], "of one frequency and one air"),
+        (["--indenter", 25, "--depth", "1:3:0.5", "--frequency", 40, 42], "of one frequency and"),
         (["--indenter", 25, "--depth", "1:60:1"], "depth_mm"),
         (["--indenter", 25, "--depth", "1:3"], "first:last:step|range without a step"),
         (["--indenter", 25, "--tolerance", 2], "tolerance"),

@@ -198,3 +198,33 @@ def test_carrier_beyond_the_rate_and_short_records_are_refused():
         signals.template(RATE, 120e3)
     with pytest.raises(ValueError, match="shorter than the matched filter's template"):
         signals.matched_filter(np.zeros(20), signals.template(RATE, CARRIER))
+
+
+def test_templates_of_zeros_and_those_without_a_middle_are_refused():
+    for cycles, carrier in ((0.3, CARRIER), (0.5, 50e3)):
+        with pytest.raises(ValueError, match=r"is zero at all its samples, [13] at .*more cycles"):
+            signals.template(RATE, carrier, cycles)
+    with pytest.raises(ValueError, match=r"template has 4 samples .* give an odd number"):
+        signals.matched_filter(np.zeros(20), np.ones(4))
+
+
+@pytest.mark.parametrize(
+    "how", [Processing(), Processing(template_cycles=None), Processing(bandwidth=10e3)]
+)
+@pytest.mark.parametrize("temperature", [20.0, np.empty(0)])
+def test_no_cycles_have_no_distances(how, temperature):
+    found = locate(TIME, np.empty((0, 4000)), how, temperature=temperature)
+    assert found.envelope.shape == (0, 4000)
+    assert found.distance.shape == found.distance_deviation.shape == found.detected.shape == (0,)
+    with pytest.raises(ValueError, match="give one for all or one for each"):
+        locate(TIME, np.zeros((2, 4000)), how, temperature=np.empty(0))
+
+
+def test_gain_at_a_probe_within_the_tube_is_that_of_the_echos_place():
+    """Send pulse and echo are divided by the levels at the probe and at the reflector, to 0.5 %."""
+    probe, place, gain = 0.5, 1.5, TimeGain(-0.4, 2.0, 1.0, 0.5)
+    heard = burst(probe / SPEED) + float(gain.level(place)) * burst((2 * place - probe) / SPEED)
+    how = {"pulse_duration": PULSE_LENGTH, "probe_position": probe, "temperature": 19.93}
+    found = signals.process(TIME, heard, gain=gain, nearest=1.0, **how)
+    assert found.distance == pytest.approx(place, abs=1e-3)
+    assert found.amplitude == pytest.approx(float(gain.level(probe)), rel=5e-3)

@@ -14,7 +14,9 @@ from acoustube.base.errors import ConfigError
 from acoustube.inversion import Library
 from acoustube.ranging import Rangefinder, record
 from acoustube.sensor import Contact, TubeSensor
+from acoustube.sensor.contacts import check_contacts, force_at
 from acoustube.sensor.network import _turned
+from acoustube.sensor.tube_sensor import _key
 
 QUIET = Rangefinder(noise=0.0, drift=0.0, quantised=False)
 NODE = 4.2e-3
@@ -104,6 +106,14 @@ def test_shallow_contacts_fade_to_the_untouched_tube(sensor):
     assert sizes[1] < sizes[2] < sizes[3]
 
 
+@pytest.mark.parametrize("place", [0.0, 2.6, 100.0])
+def test_contact_of_depth_zero_may_lie_beyond_the_tube(sensor, place):
+    pressed = Contact(place=0.8, depth=NODE)
+    found = sensor.read([pressed, Contact(place=place, depth=0.0)])
+    # Single precision, with counts of up to some 1e5 during the ring-down.
+    assert np.abs(found - sensor.read([pressed])).max() < 0.1
+
+
 def test_force_is_that_of_the_librarys_depth(sensor):
     assert sensor.depth_of(2e6 * NODE**2) == pytest.approx(NODE, rel=1e-6)
     assert sensor.force_of(NODE) == pytest.approx(2e6 * NODE**2, rel=1e-6)
@@ -134,6 +144,12 @@ def test_noise_and_rounding_are_those_of_the_rangefinder():
     assert np.std(shift) == pytest.approx(noisy.drift * per_volt, rel=0.12)
     assert np.std(spread - shift) == pytest.approx(np.hypot(noisy.noise * per_volt, 0.29), rel=0.1)
     assert np.array_equal(many, sensor.read_many(*arrays, seed=1))
+
+
+def test_seeds_of_equal_lower_bits_give_different_noise():
+    assert jax.random.key_data(_key(5)).tolist() == jax.random.key_data(jax.random.key(5)).tolist()
+    seeds = (5, 5 + 2**32, 5 + 2**33, 2**63 - 1)
+    assert len({tuple(jax.random.key_data(_key(seed)).tolist()) for seed in seeds}) == len(seeds)
 
 
 def test_batch_is_its_cycles(sensor):
@@ -195,6 +211,28 @@ def test_tools_between_two_are_interpolated_and_their_error_is_stated():
         sensor.read([Contact(place=0.8, depth=3e-3, diameter=25e-3)])
 
 
+@pytest.mark.parametrize("sizes", [(25e-3, 35e-3), (25e-3, 15e-3)])
+def test_tool_is_pressed_to_its_own_depth_beside_one_of_a_shallower_library(sizes):
+    """The first is known to 7 mm and the second to 4 mm; between them, 4 mm is the limit."""
+    deep, depth = tool(0.5e-3, diameter=sizes[0]), np.arange(1e-3, 4.01e-3, 0.5e-3)
+    shallow = tool(
+        0.5e-3, diameter=sizes[1], depth=depth, s=matrices(depth, deep.frequency),
+        force=2e6 * depth**2, **{name: getattr(deep, name)[: len(depth)]
+                                 for name in ("force_error", "error")},
+        interpolation_error=deep.interpolation_error[: len(depth) - 1],
+    )  # fmt: skip
+    tables = TubeSensor(Library((deep, shallow)), QUIET, tolerance=0.05).tables
+    assert force_at(tables, 6e-3, sizes[0]) == pytest.approx(2e6 * 6e-3**2, rel=1e-3)
+    place, between = np.array([[0.8]]), sum(sizes) / 2
+    given = {"span": (0.1, 2.0), "apart": 0.03}
+    check_contacts(tables, place, np.array([[6e-3]]), np.array([[sizes[0]]]), **given)
+    for size in (sizes[1], between):
+        with pytest.raises(ConfigError, match="depth = 0"):
+            check_contacts(tables, place, np.array([[6e-3]]), np.array([[size]]), **given)
+        with pytest.raises(ConfigError, match="depth = 0"):
+            force_at(tables, 6e-3, size)
+
+
 @pytest.mark.parametrize(
     ("contacts", "sentence"),
     [
@@ -243,6 +281,10 @@ def test_library_of_another_band_or_kind_is_refused():
     lopsided[:, :, 0, 0, 1, 0] *= 2
     with pytest.raises(ConfigError, match="not reciprocal"):
         TubeSensor(Library((tool(0.5e-3, s=lopsided),)))
+    touching = tool()
+    touching = dataclasses.replace(touching, depth=touching.depth - touching.depth[0])
+    with pytest.raises(ConfigError, match="first depth of the library is 0"):
+        TubeSensor(Library((touching,)))
 
 
 def test_one_mode_alone_serves_below_the_first_cut_on(plane):

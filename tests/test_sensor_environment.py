@@ -19,7 +19,7 @@ def sensor():
 
 def test_without_the_package_the_sentence_names_the_extra(sensor, monkeypatch):
     monkeypatch.setattr(environment, "gymnasium", None)
-    with pytest.raises(ConfigError, match=r"gymnasium; pip install 'acoustube\[robot\]'"):
+    with pytest.raises(ConfigError, match=r"gymnasium; run pip install 'acoustube\[robot\]'"):
         PressAtPlace(sensor)
 
 
@@ -86,5 +86,5 @@ def test_reach_beyond_the_tube_is_refused(sensor):
     with pytest.raises(ConfigError, match="is not on the tube"):
         PressAtPlace(sensor, reach=(0.4, 1.6))
     two = Library((tool(0.5e-3, diameter=10e-3), tool(0.5e-3)))
-    with pytest.raises(ConfigError, match="several tools"):
+    with pytest.raises(ConfigError, match="several indenters"):
         PressAtPlace(TubeSensor(two, length=1.5, most_contacts=1))

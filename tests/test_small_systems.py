@@ -8,7 +8,7 @@ from test_design import analytic, contacts, information
 from acoustube.base.small_systems import solve
 from acoustube.indentation.element import quadrature
 from acoustube.indentation.reference_element import HEX20
-from acoustube.inversion.design import prediction
+from acoustube.inversion.design import electronics, prediction
 from acoustube.ranging import Rangefinder
 
 
@@ -28,8 +28,8 @@ def test_solutions_are_those_of_lapack(n):
 def test_no_batched_factorisation_waits_in_the_pool_of_threads():
     """Two at once would wait for each other for ever if the pool has two threads."""
     known = information([analytic()], contacts(np.array([0.5]), np.array([10.0])))
-    one = prediction.electronics_of(Rangefinder())
-    many = prediction.Electronics(*(np.full(3, number) for number in one))
+    one = electronics.electronics_of(Rangefinder())
+    many = electronics.Electronics(*(np.full(3, number) for number in one))
     given = np.stack(many, axis=-1)
     programs = (
         prediction._many.lower(given, prediction._tensors(known)),

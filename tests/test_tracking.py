@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 from test_inversion import MODES, RADIUS, press, tool
 
 from acoustube.inversion import (
@@ -14,6 +15,7 @@ from acoustube.inversion import (
     Motion,
     baseband_of,
     measured_clutter,
+    tracking,
 )
 from acoustube.inversion.births import new_deviations
 from acoustube.inversion.cycle import Known
@@ -134,8 +136,25 @@ def test_prediction_keeps_the_stationary_distribution(model):
         assert np.sqrt(variance[-2:]) == pytest.approx(deviations[2:], rel=1e-9)
         assert np.sqrt(variance[2:8]) == pytest.approx(priors.deviations, rel=1e-9)
         assert np.linalg.eigvalsh(found.covariance[0]).min() > 0
-    # Two halves make the whole, up to the velocity's change within a step.
-    assert once.covariance[0, 0, 0] == pytest.approx(twice.covariance[0, 0, 0], rel=0.02)
+    # Two halves make the whole.
+    assert once.covariance[0] == pytest.approx(twice.covariance[0], rel=1e-9, abs=1e-15)
+
+
+@pytest.mark.parametrize("x", [1e-7, 9.9e-4, 1.1e-3, 0.125, 1.0, 30.0])
+def test_noise_of_a_position_is_that_of_the_velocitys_process(model, x):
+    """The integrals over a step, x times the correlation time; over a short one, powers of x."""
+    motion, still = Motion(), np.array([1e-15, 1e-15, 1e-15, 1e-15])
+    start = at_rest(model.priors).added(0, 0, np.array([0.5]), np.array([3e-3]), still)
+    found = predicted(start, motion, model.priors, x * motion.memory).covariance[0]
+    spread = found[0, 0] / (motion.slide * motion.memory) ** 2
+    shared = found[0, -2] / (motion.slide**2 * motion.memory)
+    t = np.linspace(0, x, 20001)
+    passed = -np.expm1(-t)  # the way by which a change of velocity a time t ago moves the position
+    assert spread == pytest.approx(trapezoid(2 * passed**2, t), rel=1e-4)
+    assert shared == pytest.approx(trapezoid(2 * passed * np.exp(-t), t), rel=1e-4)
+    if x < 1e-2:
+        assert (spread, shared) == pytest.approx((2 / 3 * x**3, x**2), rel=2 * x)
+    assert found[0, -2] ** 2 < found[0, 0] * found[-2, -2]
 
 
 def test_contact_that_is_added_and_taken_away_leaves_the_others():
@@ -229,6 +248,20 @@ def test_tracker_drops_a_contact_beside_a_misplaced_one(model):
     assert [one.depth.value for one in found.contacts] == pytest.approx([4.5e-3], rel=0.05)
     assert found.numbers == [1]  # that of the older one
     assert len(tracker.track.known) == 1
+
+
+def test_misfit_is_that_of_reported_contacts(model, monkeypatch):
+    """A contact that is followed but not reported has none: here none is probable enough."""
+    tracker = ContactTracker(model)
+    found = [tracker.update(counts([(0.7, 4e-3)], i)) for i in range(4)][-1]
+    assert len(found.contacts) == 1
+    assert found.misfit < 0.2
+    monkeypatch.setattr(tracking, "TOLD", 1.1)
+    found = tracker.update(counts([(0.7, 4e-3)], 4))
+    assert tracker.track.known
+    assert not found.contacts
+    assert np.isnan(found.misfit)
+    assert found.fits
 
 
 def test_cycle_of_another_length_is_refused(model):

@@ -204,7 +204,7 @@ def test_wrap_from_the_other_end():
     assert list(turned.curvature) == [25.0, 20.0, 10.0]
     assert list(turned.torsion) == [3.0, 2.0, 1.0]
     assert list(turned.from_other_end(1.2).torsion) == [1.0, 2.0, 3.0]
-    with pytest.raises(ConfigError, match="make length_cm 100 or more"):
+    with pytest.raises(ConfigError, match=r"make length_cm 100 or more \(length 1 m\)"):
         wrap.from_other_end(0.99)
 
 
@@ -268,7 +268,7 @@ def test_far_recording_that_cannot_be_read_loses_its_pair_alone(folder, tmp_path
     ("words", "reason"),
     [
         (["near_silent.nc", "--far", "far_silent.nc"], "does not state the tube's length"),
-        (["near.nc", "--far-untouched", "far_free.nc"], "--far-untouched goes with --far"),
+        (["near.nc", "--far-untouched", "far_free.nc"], "--far-untouched needs --far"),
         (["near.nc", "--far", "far_free.nc"], "recordings of the same cycles from both ends"),
         (
             ["near.nc", "near_free.nc", "--far", "far.nc", "--group", "20"],

@@ -61,8 +61,16 @@ def test_pieces_fill_the_wrap_but_for_what_the_presses_keep_straight():
     assert spans[-1, 1] == pytest.approx(FOREARM.tube_length, abs=1e-8)
     assert spans[1:, 0] - spans[:-1, 1] == pytest.approx(0, abs=1e-8)
     kept = [p for p in pieces if p.position in (0.4, 0.9)]
-    assert [p.scattering.extent for p in kept] == [(-REACH, REACH)] * 2
+    assert [p.scattering.extent for p in kept] == [pytest.approx((-REACH, REACH), abs=1e-8)] * 2
     assert len(pieces) == 5
+
+
+@pytest.mark.parametrize("places", [(0.64, 0.7), (0.5, 0.56)])
+def test_presses_may_be_twice_the_reach_apart(places):
+    """6 cm, which differ from 2 x 3 cm by rounding: 0.70 - 0.64 is less than 0.06."""
+    pieces = wrapped(FOREARM, [press(p) for p in places], AIR, radius=BORE, reach=REACH)
+    assert len(pieces) == 4
+    assert np.all(np.isfinite(passed(pieces, 0.05)))
 
 
 def test_arm_that_is_hardly_curved_is_a_straight_tube():

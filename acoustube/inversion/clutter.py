@@ -54,7 +54,8 @@ class Clutter:
     def beyond(self, place: Array, temperature: Array) -> tuple[Complex, Complex, Complex]:
         """Return the reflection of the tube beyond positions, and its derivatives.
 
-        `behind` must not be None. Beyond the table, the values at its edge are returned.
+        `behind` must not be None. Beyond the table, the values at its edge are returned; beyond
+        its temperatures, the derivative by temperature is 0.
 
         Parameters
         ----------
@@ -75,7 +76,8 @@ class Clutter:
         columns = np.clip(place / CELL, 0, n_z - 1.000001)
         rows = np.clip((temperature + WARM) / WARM_STEP, 0, n_t - 1.000001)
         value, by_column, by_row = between(self.behind, self.warmer_by_row, rows, columns)
-        return value, by_column / CELL, by_row / WARM_STEP
+        inside = np.abs(temperature) <= WARM
+        return value, by_column / CELL, by_row / WARM_STEP * inside[:, None]
 
     @cached_property
     def covariance_single(self) -> Complex:

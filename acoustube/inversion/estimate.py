@@ -143,11 +143,10 @@ class Inversion:
         ConfigError
             If the library has no such tool.
         """
-        if tool >= len(self.model.tables):
-            raise ConfigError(
-                f"tool = {tool}: the library has {len(self.model.tables)}, counted from 0; give a "
-                "smaller number"
-            )
+        last = len(self.model.tables) - 1
+        if tool > last:
+            allowed = f"0 to {last}" if last else "0"
+            raise ConfigError(f"tool = {tool} is out of range; use {allowed}")
         at = np.asarray(places, float)
         with threadpool_limits(1, user_api="blas"):  # the matrices are small
             found = detection_limit(self.model, self.best, self.noise, tool, at)

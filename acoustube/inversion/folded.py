@@ -67,7 +67,7 @@ class FoldedBaseband(Baseband):
         middle = self.rate / 2
         if abs(carrier - middle) > FARTHEST * carrier:
             raise ConfigError(
-                f"a sampling rate of {self.rate:g} Hz folds the band of a carrier of "
+                f"a sampling rate of {self.rate:g} Hz aliases the band of a carrier of "
                 f"{KHZ * carrier:g} kHz; record at {2.2 * (1 + HALF_WIDTH) * carrier:.0f} Hz or "
                 f"more, or at about {2 * carrier:.0f} Hz"
             )

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from acoustube.base.checks import Optional, check_fields, checked
+from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
+from acoustube.base.units import KHZ, MM
 from acoustube.inversion.baseband import Baseband
 from acoustube.inversion.clutter import Clutter, unknown_clutter
 from acoustube.inversion.coupled_network import coupled_echo
@@ -22,6 +24,10 @@ from acoustube.waves.scattering import Complex
 
 NUISANCES = "temperature", "gain", "phase", "resonance", "quality_factor", "stretch"
 """Names of the nuisance parameters, in their order after places and depths."""
+SAME_BORE = 0.005
+"""Largest relative difference of the bores of library and baseband."""
+BAND_MARGIN = 0.01
+"""Part of a frequency by which a library's band should exceed the baseband's."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,7 +152,8 @@ class ForwardModel:
     Raises
     ------
     ConfigError
-        If a wrapped tube has no place for a press.
+        If the bore, the modes or the band of the library are not those of the baseband, or the tube
+        has no place for a press.
     """
 
     @checked(
@@ -159,6 +166,7 @@ class ForwardModel:
         clutter: Clutter | None = None,
         priors: Priors | None = None,
     ) -> None:
+        _check_library(library, base)
         self.tool_library, self.base, self.priors = library, base, priors or Priors()
         self.clutter = clutter or unknown_clutter(base)
         modes = min(len(library.modes), MOST_MODES)
@@ -317,3 +325,35 @@ class ForwardModel:
         if self.clutter.behind is None:  # the estimated temperature contains that error
             return 0.0
         return place * self.base.speed_by_temperature / self.base.speed * self.priors.thermometer
+
+
+def needed_band(library: Library, base: Baseband) -> tuple[float, float]:
+    """Return the lowest and the highest frequency in Hz of a library that a baseband needs.
+
+    They include :data:`BAND_MARGIN`, and are converted to the speed of sound of the library.
+    """
+    ratio = library.sound_speed / base.speed
+    low, high = base.frequency[[0, -1]] * ratio
+    return float(low) * (1 - BAND_MARGIN), float(high) * (1 + BAND_MARGIN)
+
+
+def _check_library(library: Library, base: Baseband) -> None:
+    """Raise unless the bore, the modes and the band of a library are those of a baseband."""
+    if abs(library.radius / base.radius - 1) > SAME_BORE:
+        raise ConfigError(
+            f"the library is of a bore of {2 * MM * library.radius:.4g} mm and the baseband of "
+            f"{2 * MM * base.radius:.4g} mm; make the baseband with library.radius"
+        )
+    own, given = (tuple(one[:MOST_MODES]) for one in (library.modes, base.modes))
+    if own != given:
+        raise ConfigError(
+            f"the first modes of the library are {', '.join(own)}, and those of the baseband "
+            f"{', '.join(given)}; make the baseband with library.modes"
+        )
+    (low, high), (least, most) = library.band, needed_band(library, base)
+    if least < low or most > high:
+        raise ConfigError(
+            f"the library covers {KHZ * low:.4g} to {KHZ * high:.4g} kHz, and the baseband at "
+            f"{base.temperature:.3g} degC needs {KHZ * least:.4g} to {KHZ * most:.4g} kHz; make "
+            "the baseband with the rangefinder of the recordings, or a library of that band"
+        )

@@ -189,15 +189,17 @@ def predicted(branches: Branches, motion: Motion, priors: Priors, step: float) -
     m, p = len(branches.tools), branches.parameters
     q = p + 2 * m
     place, speed, own = np.arange(2 * m), np.arange(p, q), np.arange(2 * m, p)
-    kept, slow = np.exp(-step / motion.memory), np.exp(-step / motion.drift)
+    x = step / motion.memory
+    kept, passed, slow = np.exp(-x), -np.expm1(-x), np.exp(-step / motion.drift)
     change = np.eye(q)
-    change[place, speed], change[speed, speed] = motion.memory * (1 - kept), kept
+    change[place, speed], change[speed, speed] = motion.memory * passed, kept
     change[own, own] = slow
-    noise = np.zeros((q, q))
-    added = velocities(motion, m) ** 2 * (1 - kept**2)
-    # Process noise of a position: the variance added to its velocity grows linearly over the step.
-    noise[speed, speed], noise[place, place] = added, added * step**2 / 3
-    noise[place, speed] = noise[speed, place] = added * step / 2
+    # Singer's integrals over the step; of a short one by a series, without cancellation.
+    spread = x**3 * (2 / 3 - x / 2) if x < 1e-3 else 2 * (x - passed) - passed**2
+    steady, noise = velocities(motion, m) ** 2, np.zeros((q, q))
+    noise[speed, speed] = steady * -np.expm1(-2 * x)
+    noise[place, place] = steady * motion.memory**2 * spread
+    noise[place, speed] = noise[speed, place] = steady * motion.memory * passed**2
     noise[own, own] = priors.deviations**2 * (1 - slow**2)
     covariance = change @ branches.covariance @ change.T + noise
     return Branches(branches.tools, branches.mean @ change.T, covariance, branches.level)

@@ -11,10 +11,14 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.inversion.joints import Joined
 from acoustube.inversion.tables import Matrices
 from acoustube.waves.scattering import Complex
+
+BEFORE_END = 0.02
+"""Length in m of tube before the far end in which no presses are sought."""
 
 
 class Section(NamedTuple):
@@ -128,8 +132,21 @@ class StraightPath:
         self.modes = k.shape[1]
 
     def span(self, nearest: float, length: float) -> tuple[float, float]:
-        """Return the range of places in m where presses are sought: to 2 cm before the far end."""
-        return nearest, length - 0.02
+        """Return the range of places in m where presses are sought: to 2 cm before the far end.
+
+        The parameters are those of :meth:`Path.span`.
+
+        Raises
+        ------
+        ConfigError
+            If there is no place for a press beyond the nearest.
+        """
+        if not length - BEFORE_END > nearest:
+            raise ConfigError(
+                f"a tube of length {length:.4g} m has no place for a press beyond {nearest:.3g} m, "
+                "the nearest that can be located; use a longer tube or a shorter drive"
+            )
+        return nearest, length - BEFORE_END
 
     def entry(self, temperature: Array) -> Entry | None:  # noqa: ARG002
         """Return None: the tube is not bent."""

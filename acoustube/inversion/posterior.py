@@ -43,8 +43,8 @@ class Estimate:
     deviations: Array
 
     def density(self, value: ArrayLike) -> Array:
-        """Return the probability density at values, (n_values,), per unit of the quantity."""
-        off = (np.asarray(value)[:, None] - self.means) / self.deviations
+        """Return the probability density at values of any shape, per unit of the quantity."""
+        off = (np.asarray(value)[..., None] - self.means) / self.deviations
         return np.asarray(
             np.exp(-(off**2) / 2) / np.sqrt(2 * pi) @ (self.weights / self.deviations)
         )

@@ -58,7 +58,6 @@ class PlaneFilter:
         depths = np.linspace(low, high, max(4, round((high - low) / DEPTH_STEP) + 1))
         matrices = table(depths, np.full(len(depths), model.stretch))
         low, high = model.span
-        high = min(high, base.length - 0.05)
         self.places = np.arange(low, high, PLACE_STEP)
         starts = np.array([start for start, _ in stretches(model.path, low, high, [])])
         face = at_face(model, 0.0)

@@ -90,14 +90,14 @@ class Templates:
     """
 
     def __init__(self, model: ForwardModel, tool: int, step: float = DEPTH_STEP) -> None:
-        self.model, base = model, model.base
+        self.model = model
         table = model.tables[tool]
         low, high = table.range
         self.depths = np.linspace(low, high, max(4, round((high - low) / step) + 1))
         stretch = np.full(len(self.depths), model.stretch)
         self.whole = table(self.depths, stretch)
         low, high = model.span
-        self.places = np.arange(low, min(high, base.length - 0.05), COARSE)
+        self.places = np.arange(low, high, COARSE)
         self._reflections: dict[float, Complex] = {}
 
     def search(

@@ -40,6 +40,7 @@ FIELDS = {
     "sound_speed": SPEED, "young_modulus": Reals(1e-3, 1e15, "Pa", ndim=0, missing=True),
     "poisson_ratio": Number(-1, 0.5), "stiffness_error": Number(0, 1e50),
 }  # fmt: skip
+ARRAYS = "depth", "force", "force_error", "frequency", "error", "interpolation_error"
 DEPTHS = Reals(-1.0, 1.0, "m", missing=True, empty=True)
 ORDER = Number(0, 3, whole=True)
 
@@ -108,8 +109,11 @@ class Tool:
     stiffness_error: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the values, and that the arrays belong together."""
+        """Check the values, and that the arrays belong together; lists become arrays."""
         check_fields(self, **FIELDS)
+        for name in ARRAYS:
+            object.__setattr__(self, name, np.asarray(getattr(self, name), float))
+        object.__setattr__(self, "modes", tuple(self.modes))
         n, n_f, m = len(self.depth), len(self.frequency), len(self.modes)
         if n < FEWEST_DEPTHS or np.shape(self.s) != (n, n_f, 2, m, 2, m):
             raise ConfigError(
@@ -212,7 +216,7 @@ class Library:
             )
             if not same or tool.modes != first.modes or tool.sound_speed != first.sound_speed:
                 raise ConfigError(
-                    "the tools of the library differ in frequencies, modes or speed of sound; "
+                    "the indenters of the library differ in frequencies, modes or speed of sound; "
                     "compute them with one command"
                 )
 

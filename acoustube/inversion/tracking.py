@@ -51,8 +51,7 @@ class Tracked:
     numbers : list of int
         Numbers of the contacts, from 0 in the order of their appearance.
     misfit : float
-        Root of the unexplained fraction of the echo's energy; nan if no contact is tracked, not
-        even one too improbable for `contacts`. Unlike that of
+        Root of the unexplained fraction of the echo's energy; nan without contacts. Unlike that of
         :class:`acoustube.inversion.Inversion`, it may be below the most likely model error.
     temperature, gain : Estimate
         Deviations of the air's temperature in K and of the gain's logarithm.
@@ -218,7 +217,7 @@ class ContactTracker:
         first = 2 * len(best.tools)
         base = model.base
         return Tracked(
-            contacts, numbers, self._misfit(found.rest[0], explained),
+            contacts, numbers, self._misfit(found.rest[0], explained) if contacts else np.nan,
             told(first), told(first + NUISANCES.index("gain")),
             base.places, measured, explained,
         )  # fmt: skip
@@ -242,9 +241,7 @@ class ContactTracker:
         return np.maximum(np.einsum("nij,njk,nki->ni", whole, own, whole), 0.0)
 
     def _misfit(self, rest: Complex, explained: Complex) -> float:
-        """Return the root of the echo's unexplained fraction of energy; nan without contacts."""
-        if not self.track.known:
-            return float("nan")
+        """Return the root of the echo's unexplained fraction of energy."""
         expected = self.model.base.freedom * len(rest)
         beyond = np.sum(np.abs(self.quiet(rest)) ** 2) - expected
         return float(np.sqrt(max(beyond, 0.0) / np.sum(np.abs(self.quiet(explained)) ** 2)))

@@ -78,11 +78,13 @@ class Wrap:
     reach: float = REACH
 
     def __post_init__(self) -> None:
-        """Check the values, and that places rise."""
+        """Check the values, and that places rise; lists become arrays."""
         check_fields(
             self, place=Reals(0, 1e3, "m", ndim=1), curvature=CURVES, torsion=TURNS,
             ovality=Reals(-1, 1, ndim=0), reach=DISTANCE,
         )  # fmt: skip
+        for name in ("place", "curvature", "torsion"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), float))
         check_alike(place=self.place, curvature=self.curvature, torsion=self.torsion)
         if len(self.place) < 2 or not np.all(np.diff(self.place) > 0):
             raise ConfigError("place of a wrap must hold two or more rising distances; sort them")
@@ -98,7 +100,8 @@ class Wrap:
         if self.stop > length + NEARLY:
             raise ConfigError(
                 f"the wrap ends at {CM * self.stop:.5g} cm, beyond the tube's length of "
-                f"{CM * length:.5g} cm; make length_cm {CM * self.stop:.5g} or more"
+                f"{CM * length:.5g} cm; make length_cm {CM * self.stop:.5g} or more (length "
+                f"{self.stop:.5g} m)"
             )
         return Wrap(
             place=np.maximum(length - self.place[::-1], 0.0), curvature=self.curvature[::-1],

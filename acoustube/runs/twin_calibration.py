@@ -79,7 +79,7 @@ def twin_calibration(path: Path) -> Calibration:
     common: dict[str, Any] = {
         "radius": bore / 2, "length": length, "temperature": AIR,
         "reflectors": np.array(twin_settings(path)["reflectors"])[
-            : int(np.ceil(length / MEASURED_SPACING))
+            : int(length / MEASURED_SPACING)
         ],
     }  # fmt: skip
     try:

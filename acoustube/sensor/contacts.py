@@ -17,6 +17,9 @@ from acoustube.sensor.tables import PressTables
 
 HALF_PRESS = 0.015
 """Half the length in m of tube that a contact deforms."""
+SAME = 1e-6
+"""Difference of diameters, relative to that of two neighbouring tools, up to which they are equal.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,13 +100,15 @@ def diameter_of(tables: PressTables, diameter: float | None) -> float:
     words = " and ".join(f"{MM * one:g}" for one in known)
     if diameter is None:
         if len(known) > 1:
-            raise ConfigError(f"the library has tools of {words} mm; state the contact's diameter")
+            raise ConfigError(
+                f"the library has indenters of {words} mm; state the contact's diameter"
+            )
         return float(known[0])
     Number(0, 1.0, "m").check("diameter", diameter)
     if not known[0] * (1 - 1e-6) <= diameter <= known[-1] * (1 + 1e-6):
         raise ConfigError(
-            f"a tool of diameter {MM * diameter:g} mm is not in the library, which has {words} mm; "
-            "make one with acoustube library --indenter"
+            f"an indenter of diameter {MM * diameter:g} mm is not in the library, which has "
+            f"{words} mm; make one with acoustube library --indenter"
         )
     return float(diameter)
 
@@ -153,12 +158,17 @@ def _path(tables: PressTables, diameter: float | None) -> tuple[Array, Array]:
 def _neighbours(
     tables: PressTables, diameter: Array
 ) -> tuple[NDArray[np.integer[Any]], NDArray[np.integer[Any]], Array]:
-    """Return the indices of the tools below and above diameters, and the weights of the latter."""
+    """Return the indices of the tools below and above diameters, and the weights of the latter.
+
+    At the diameter of a tool, both are that tool.
+    """
     known = tables.diameters
     low = np.clip(np.searchsorted(known, diameter, side="right") - 1, 0, max(len(known) - 2, 0))
     high = np.minimum(low + 1, len(known) - 1)
     width = np.where(high > low, known[high] - known[low], 1.0)
-    return low, high, np.clip((diameter - known[low]) / width, 0, 1)
+    weight = np.clip((diameter - known[low]) / width, 0, 1)
+    first, second = weight < SAME, weight > 1 - SAME
+    return np.where(second, high, low), np.where(first, low, high), weight
 
 
 def check_contacts(

@@ -101,8 +101,8 @@ def changes_of(
     parts : Parts
     place, depth, diameter : jax.Array
         Of the contacts in m, in any order, (n, n_contacts); depth 0 for no contact. Depths and
-        diameters outside the tables are replaced by those at their ends, and places before the
-        first end of :class:`Shape` by that end. Places beyond its second end are not valid.
+        diameters outside the tables are replaced by those at their ends, and places outside the
+        ends of :class:`Shape` by these ends.
 
     Returns
     -------
@@ -244,7 +244,7 @@ def echo_of(
     reflector = jnp.clip((place / REFLECTOR_SPACING + 0.5).astype(jnp.int32), 0, n)
     size = 2 * shape.modes
     # Contacts of depth 0 may be anywhere.
-    place = jnp.maximum(place, shape.ends[0])
+    place = jnp.clip(place, *shape.ends)
     press = _press(parts, depth, diameter)
     if shape.places > 1:
         press = _placed(shape, parts, press, place)

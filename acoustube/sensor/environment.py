@@ -68,10 +68,12 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
     def __init__(self, sensor: TubeSensor, reach: tuple[float, float] | None = None) -> None:
         if gymnasium is None:
             raise ConfigError(
-                "the environment needs the package gymnasium; pip install 'acoustube[robot]'"
+                "the environment needs the package gymnasium; run pip install 'acoustube[robot]'"
             )
         if len(sensor.tables.diameters) > 1:
-            raise ConfigError("the library has several tools; give the sensor that of the finger")
+            raise ConfigError(
+                "the library has several indenters; give the sensor that of the finger"
+            )
         nearest, farthest = sensor.span
         middle = (nearest + farthest) / 2
         usual = float(np.clip(0.3, nearest, middle)), max(farthest - HALF_PRESS, middle)

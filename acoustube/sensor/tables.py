@@ -89,8 +89,8 @@ def press_tables(
     Raises
     ------
     ConfigError
-        If tools differ in shape or have equal diameters, the first mode is not the plane mode, or
-        the scattering of a tool is not reciprocal.
+        If tools differ in shape or have equal diameters, a depth is 0, the first mode is not the
+        plane mode, or the scattering of a tool is not reciprocal.
 
     Notes
     -----
@@ -103,6 +103,10 @@ def press_tables(
         raise ConfigError(
             f"the library holds {', '.join(tool.name for tool in tools)}; give one whose "
             "indenters have one shape and different diameters"
+        )
+    if any(tool.depth[0] <= 0 for tool in tools):
+        raise ConfigError(
+            "the first depth of the library is 0, at which the tube is untouched; leave it out"
         )
     number, kept = _different(tools)
     plane = int(number[0, 0, 0, 0])

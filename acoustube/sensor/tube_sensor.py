@@ -276,7 +276,7 @@ class TubeSensor:
         parts = [slice(i, min(i + BATCH, n)) for i in range(0, n, BATCH)]
         keys: Sequence[jax.Array | None] = [None] * len(parts)
         if seed is not None:
-            keys = list(jax.random.split(jax.random.key(seed), len(parts)))
+            keys = list(jax.random.split(_key(seed), len(parts)))
         found = np.empty((n, self.rangefinder.n_samples), np.float32)
 
         def compute(part: slice, key: jax.Array | None) -> None:
@@ -313,3 +313,9 @@ class TubeSensor:
         check_contacts(self.tables, place, depth, size, self.span, self.apart)
         missing = ((0, 0), (0, self.most_contacts - place.shape[1]))
         return [np.pad(a, missing).astype(np.float32) for a in (place, depth, size)]
+
+
+def _key(seed: int) -> jax.Array:
+    """Return the random key of a seed of up to 63 bits; a key of JAX holds the lower 32 alone."""
+    key = jax.random.key(seed & 0xFFFFFFFF)
+    return jax.random.fold_in(key, seed >> 32) if seed >> 32 else key

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -31,7 +32,7 @@ class PressedTube:
     diameter : float
         Of the tool in m.
     depth : ndarray
-        Indentation depths in m, increasing, (n,).
+        Indentation depths in m, over 0 and increasing, (n,).
     force : ndarray
         In N at the shear modulus with which the presses were computed, (n,).
     frequency : ndarray
@@ -47,7 +48,7 @@ class PressedTube:
     ------
     ConfigError
         If a value is out of range, there are fewer than four depths, depths or forces do not
-        increase, or arrays differ in shape.
+        increase from above 0, or arrays differ in shape.
     """
 
     radius: float
@@ -67,6 +68,7 @@ class PressedTube:
             reflection=checks.Complex(0, 1e6), sound_speed=SPEED,
             transmission=checks.Optional(checks.Complex(0, 1e6)),
         )  # fmt: skip
+        check_alike(depth=self.depth, force=self.force)
         n = len(self.depth)
         if n < FEWEST or self.reflection.shape != (n, len(self.frequency)):
             raise ConfigError(
@@ -80,6 +82,11 @@ class PressedTube:
             )
         if not (np.all(np.diff(self.depth) > 0) and np.all(np.diff(self.force) > 0)):
             raise ConfigError("depths and forces of a tube must increase; sort them")
+        if not (self.depth[0] > 0 and self.force[0] > 0):
+            raise ConfigError(
+                f"the first press of a tube has a depth of {self.depth[0]:g} m and a force of "
+                f"{self.force[0]:g} N; leave out depth 0, the untouched tube"
+            )
 
     @cached_property
     def _spline(self) -> CubicSpline:
@@ -152,12 +159,14 @@ class Contacts:
     length: float
 
     def __post_init__(self) -> None:
-        """Check the values."""
+        """Check the values; lists become arrays."""
         force = Number(1e-9, 1e9, "N")
         check_fields(
             self, place=Reals(0, 1e6, "m", ndim=1), force=Reals(1e-9, 1e9, "N", ndim=1),
             tool=Reals(0, 1e6, ndim=1, kinds="iu"), lightest=force, strongest=force, length=LENGTH,
         )  # fmt: skip
+        for name in ("place", "force", "tool"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name)))
         check_alike(place=self.place, force=self.force, tool=self.tool)
 
     def at(self, chosen: NDArray[np.bool_]) -> Contacts:
@@ -176,3 +185,12 @@ class Contacts:
     def force_prior(self) -> float:
         """Standard deviation of the logarithm of the force where no echo is received."""
         return float(np.log(self.strongest / self.lightest) / np.sqrt(12))
+
+
+def check_tools(tubes: Sequence[PressedTube], contacts: Contacts) -> None:
+    """Raise :class:`ConfigError` if a contact's tool has no tube among those given, by number."""
+    if (last := int(contacts.tool.max())) >= len(tubes):
+        raise ConfigError(
+            f"a contact is of tool {last}, and the last tube is that of tool {len(tubes) - 1}; "
+            "give a tube for each tool, from 0 on"
+        )

@@ -23,7 +23,7 @@ from acoustube.air import air_at
 from acoustube.base.checks import TEMPERATURE, Optional, Several, checked
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
-from acoustube.inversion.design.echoes import Contacts, PressedTube
+from acoustube.inversion.design.echoes import Contacts, PressedTube, check_tools
 from acoustube.inversion.model import Priors
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.scattering import Complex
@@ -70,7 +70,7 @@ class Information(NamedTuple):
     range_grid : ndarray
         Positions in m at which the echo of the lightest contact is computed, (m,).
     range_power : ndarray
-        Squared magnitude of this echo, that of the tool with the weakest one, (m, n_f).
+        Squared magnitude of this echo for each tool, (n_tools, m, n_f).
     """
 
     frequency: Array
@@ -127,7 +127,13 @@ def information(
     Returns
     -------
     Information
+
+    Raises
+    ------
+    ConfigError
+        If there is no tube for the tool of a contact.
     """
+    check_tools(tubes, contacts)
     priors, air = priors or Priors(), air_at(temperature)
     f, first = tubes[0].frequency, tubes[0]
     k = axial_wavenumber(0, 0, f, first.radius, air)
@@ -162,7 +168,7 @@ def information(
         echoes=turned * echo[:, None], power=np.abs(echo) ** 2 * left, place=place, scale=scale,
         slope=slope, within_range=within_range, force_prior=contacts.force_prior,
         hardness=hardness, model=model, range_grid=grid,
-        range_power=np.min(light, axis=0) * np.exp(4 * k.imag * grid[:, None]),
+        range_power=np.array(light)[:, None] * np.exp(4 * k.imag * grid[:, None]),
     )  # fmt: skip
 
 

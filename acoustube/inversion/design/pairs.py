@@ -21,8 +21,9 @@ from acoustube.base.checks import TEMPERATURE, Instance, Several, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
-from acoustube.inversion.design.echoes import Contacts, PressedTube
-from acoustube.inversion.design.prediction import DETECTED, Electronics, weight_of
+from acoustube.inversion.design.echoes import Contacts, PressedTube, check_tools
+from acoustube.inversion.design.electronics import Electronics, weight_of
+from acoustube.inversion.design.prediction import DETECTED
 from acoustube.inversion.model import Priors
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.scattering import Complex
@@ -86,7 +87,7 @@ def predict_pairs(
     Raises
     ------
     ConfigError
-        If a tube has no transmission.
+        If a tube has no transmission, or there is no tube for the tool of a contact.
 
     Notes
     -----
@@ -95,6 +96,7 @@ def predict_pairs(
     part of its echo that no change of the other six explains, to first order, exceeds the level of
     detection.
     """
+    check_tools(tubes, contacts)
     if any(tube.transmission is None for tube in tubes):
         raise ConfigError("a tube has no transmission; give transmission with its reflection")
     priors, air = Priors(), air_at(temperature)

@@ -19,71 +19,23 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import fresnel, ndtr
+from jax.scipy.special import ndtr
 
 from acoustube.base.checks import Reals, checked
+from acoustube.base.errors import ConfigError
 from acoustube.base.small_systems import solve
 from acoustube.base.types import Array
-from acoustube.inversion.baseband import (
-    AFTER_CLIPPING,
-    CHIRP_BAND,
-    DITHER,
-    FADE,
-    HALF_WIDTH,
-    OWN_LENGTH,
-    half_width,
-)
+from acoustube.inversion.baseband import AFTER_CLIPPING, FADE, OWN_LENGTH
+from acoustube.inversion.design.electronics import Electronics, received
 from acoustube.inversion.design.fisher import Information
-from acoustube.ranging import Burst, Chirp, Rangefinder
 
 HALF_WAVES = (-3, -2, -1, 1, 2, 3)
 """Errors of an estimated position that are considered, in half wavelengths."""
 DETECTED = 6.0
 """Amplitude of an echo after its matched filter, in standard deviations of the noise, at which half
 of the echoes are detected; noise alone exceeds it in exp(-18) of its samples."""
-BAND_EDGE, BAND_ROLL = 0.875, 0.084
-"""Sigmoid in place of the tapers of the inversion's band: distance of its middle from the carrier,
-and its width, both relative to half the width of the band."""
 BLIND_ROLL = 0.02
 """Width in m of the transition from masked to unmasked echoes behind the ring-down."""
-
-
-class Electronics(NamedTuple):
-    """Pulse, transducer and converter, as scalars or as arrays of one shape.
-
-    Attributes
-    ----------
-    carrier : float
-        Frequency of drive and transducer in Hz.
-    cycles : float
-        Duration of the drive, a square burst or a chirp, in periods of the carrier.
-    quality : float
-        Quality factor of the transducer.
-    level : float
-        Counts received from a complete reflection of a steady drive, over the standard deviation of
-        the noise of a sample of the mean of cycles.
-    rate : float
-        Samples per second.
-    ring : float
-        Received amplitude of the rangefinder's own drive over half of full scale, at least 1.
-    ends : float
-        Number of rangefinders, 1 or 2.
-    bandwidth : float
-        Bandwidth of a chirp in Hz; 0 for a burst.
-    low_corner, high_corner : float
-        Corner frequencies of loudspeaker and microphone in Hz; 0 for none.
-    """
-
-    carrier: float | Array
-    cycles: float | Array
-    quality: float | Array
-    level: float | Array
-    rate: float | Array
-    ring: float | Array
-    ends: float | Array
-    bandwidth: float | Array = 0.0
-    low_corner: float | Array = 0.0
-    high_corner: float | Array = 0.0
 
 
 class Prediction(NamedTuple):
@@ -106,8 +58,8 @@ class Prediction(NamedTuple):
     model : ndarray
         Relative standard deviation of the force by errors of the forward model alone, (..., n).
     reach : ndarray
-        Farthest position in m at which the lightest contact is detected; twice that distance with
-        two rangefinders, (...).
+        Farthest position in m at which the lightest contact is detected with each tool; twice that
+        distance with two rangefinders, (...).
     resolution : ndarray
         Least distance in m at which the echoes of two presses are separate, (...).
     nearest : ndarray
@@ -130,33 +82,6 @@ class Prediction(NamedTuple):
         """Reach in m, rms relative deviation of force, and resolution in m, (..., 3)."""
         force = np.sqrt(np.mean(self.force**2, axis=-1))
         return np.stack([self.reach, force, self.resolution], axis=-1)
-
-
-def electronics_of(rangefinder: Rangefinder, ends: int = 1, average: int = 1) -> Electronics:
-    """Return the electronics of a rangefinder with a square burst or plain chirp at its resonance.
-
-    Parameters
-    ----------
-    rangefinder : Rangefinder
-    ends : int
-        Number of rangefinders, of which the second is at the far end.
-    average : int
-        Number of cycles whose mean is inverted.
-    """
-    r, drive = rangefinder, rangefinder.drive
-    assert isinstance(drive, Burst | Chirp)
-    noise = r.noise * 2**r.bits / r.full_scale
-    variance = noise**2
-    if r.quantised:
-        # Rounding that noise does not dither is an error within the band of the signal.
-        share = min(2 * half_width(r) / (r.sampling_rate / 2), 1.0)
-        variance += 1 / 12 / (1.0 if noise >= DITHER else share)
-    level = r.gain * 2**r.bits / r.full_scale / np.sqrt(max(variance / average, 1e-12))
-    return Electronics(
-        drive.frequency, drive.duration * drive.frequency, r.quality_factor, level,
-        r.sampling_rate, max(2 * r.send / r.full_scale, 1.0), ends, drive.bandwidth,
-        r.low_corner, r.high_corner,
-    )  # fmt: skip
 
 
 @checked(known=Information, electronics=Electronics)
@@ -216,7 +141,17 @@ def gradient(
         Scalars.
     asked : sequence of float
         See :func:`score`.
+
+    Raises
+    ------
+    ConfigError
+        If `asked` does not hold the four goals.
     """
+    if len(asked) != 4:
+        raise ConfigError(
+            f"asked holds {len(asked)} goals; give four: reach, distance of two presses, deviation "
+            "of position, and nearest press"
+        )
     with jax.enable_x64(True):
         given = jnp.array([float(one) for one in electronics])
         goal = jnp.array(asked)
@@ -260,73 +195,13 @@ def _scored(logs, given, tensors, goal):  # type: ignore[no-untyped-def]
     return jax.vmap(along, out_axes=(None, 0))(jnp.eye(len(logs)))
 
 
-def spectrum(frequency, electronics):  # type: ignore[no-untyped-def]
-    """Return the energy spectrum of a drive after both passages of its transducer, in s2, (n_f,).
-
-    A square burst has that of :meth:`acoustube.ranging.Burst.spectrum` for whole half periods, and
-    is continuous in their number. A chirp is without the part at negative frequencies.
-    """
-    one = Electronics(*electronics)
-    carrier, cycles = one.carrier, one.cycles
-    u = jnp.pi / 2 * (frequency / carrier - 1)
-    near = jnp.abs(jnp.sin(u)) < 1e-7
-    safe = jnp.where(near, 1.0, u)
-    kernel = jnp.where(near, 2 * cycles, jnp.sin(2 * cycles * safe) / jnp.sin(safe))
-    burst = (jnp.cos(u) * kernel / (jnp.pi * frequency)) ** 2
-    drive = jnp.where(one.bandwidth > 0, _chirp(frequency - carrier, one), burst)
-    off = frequency / carrier - carrier / frequency
-    # Squared magnitudes of Butterworth filters of second order.
-    high = jnp.where(one.high_corner > 0, one.high_corner, jnp.inf)
-    passed = 1 / ((1 + (one.low_corner / frequency) ** 4) * (1 + (frequency / high) ** 4))
-    return drive * passed / (1 + (one.quality * off) ** 2) ** 2
-
-
-def _chirp(off, one):  # type: ignore[no-untyped-def]
-    """Return the squared magnitude of a chirp's spectrum in s2, at offsets in Hz from its carrier.
-
-    It is computed by Fresnel integrals, without the part at negative frequencies.
-    """
-    width = jnp.where(one.bandwidth > 0, one.bandwidth, 1.0)
-    lasting = one.cycles / one.carrier
-    scale = jnp.sqrt(2 * lasting / width)
-    (s0, c0), (s1, c1) = (fresnel(scale * (side * width / 2 - off)) for side in (-1, 1))
-    return ((c1 - c0) ** 2 + (s1 - s0) ** 2) * lasting / width / 8
-
-
-def _received(frequency, electronics):  # type: ignore[no-untyped-def]
-    """Return :func:`spectrum`, tapered to the band of the inversion, in s2, (n_f,)."""
-    one = Electronics(*electronics)
-    half = jnp.maximum(HALF_WIDTH * one.carrier, CHIRP_BAND * one.bandwidth)
-    sides = (BAND_EDGE - jnp.abs(frequency - one.carrier) / half) / BAND_ROLL
-    return spectrum(frequency, electronics) * jax.nn.sigmoid(4 * sides)
-
-
-def weight_of(frequency: Array, electronics: Electronics) -> Array:
-    """Return the weight of each frequency in the Fisher information, (n_f,).
-
-    It is the energy of the echo of a complete reflection over the variance of a sample's noise.
-
-    Parameters
-    ----------
-    frequency : ndarray
-        In Hz, evenly spaced, (n_f,).
-    electronics : Electronics
-        Scalars.
-    """
-    step = frequency[1] - frequency[0]
-    with jax.enable_x64(True):
-        given = [jnp.asarray(float(one)) for one in electronics]
-        received = np.asarray(_received(jnp.asarray(frequency), given))
-    return np.asarray(2 * electronics.rate * step * electronics.level**2 * received)
-
-
 def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
     carrier, cycles, quality, level, rate, ring, ends, *_ = electronics
     known = Information(*tensors)
     f = known.frequency
     step = f[1] - f[0]
-    received = _received(f, electronics)
-    weight = 2 * rate * step * level**2 * received
+    heard = received(f, electronics)
+    weight = 2 * rate * step * level**2 * heard
     decay = quality / (jnp.pi * carrier)
     free = cycles / carrier + decay * jnp.log(ring) + AFTER_CLIPPING + FADE
     nearest = 0.5 * known.sound_speed * free + OWN_LENGTH  # as in the inversion's baseband
@@ -352,9 +227,10 @@ def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
     force = jnp.where(
         known.within_range > 0, found / (1 / force + 1 / prior) + (1 - found) * prior, prior
     )
-    far = jnp.log(known.range_power @ weight + 1e-300) - 2 * jnp.log(DETECTED)
+    faintest = (known.range_power @ weight).min(axis=0)  # of all tools
+    far = jnp.log(faintest + 1e-300) - 2 * jnp.log(DETECTED)
     reach = jnp.interp(0.0, -far, known.range_grid) * jnp.where(ends > 1.5, 2.0, 1.0)
-    width = step * received.sum() ** 2 / (received**2).sum()
+    width = step * heard.sum() ** 2 / (heard**2).sum()
     resolution = jnp.hypot(known.sound_speed / (2 * width), OWN_LENGTH)
     return (
         jnp.sqrt(place) * scale[0], jnp.sqrt(depth) * scale[1], jnp.sqrt(force), found,

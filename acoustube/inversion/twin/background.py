@@ -35,6 +35,9 @@ DETECTED = 6.0
 """Level of the far end's echo in standard deviations above which the echo is detected."""
 AROUND_END = 0.04
 """Half the width in m of the part of the tube that belongs to the far end."""
+AROUND, FINEST = 0.5, 2e-3
+"""Length in m of tube, before and behind the part where the far end is sought, whose echoes give
+the level of noise and clutter; least length in m of that part."""
 ROUNDING = 1 / 12
 """Variance of the rounding error in counts squared."""
 
@@ -206,22 +209,25 @@ def _far_end(
 
     The echo is sought in `left`, (n_t,): within 3 % of a stated length, or beyond all closures.
     """
+    heard = 0.5 * SPEED * twin.band.first
     farthest = float(twin.model.places.max())
     low, high = (0.97 * length, 1.03 * length) if length else (farthest + 0.02, reach)
-    high = min(high, reach)
-    if not high > low + 0.05:
+    low, high = max(low, heard), min(high, reach)
+    if not high > low + (FINEST if length else 0.05):
         return Measured(value=0.0, deviation=1.0), None
-    places = np.arange(low, high, 0.5e-3)
+    # Most of the places are away from the far end: they give the level of the noise.
+    places = np.arange(max(low - AROUND, heard), min(high + AROUND, reach), 0.5e-3)
     shapes = np.where(used, _templates(twin, places, temperature), 0)
     energy = np.maximum(np.sum(np.abs(shapes) ** 2, axis=1), 1e-300)
     level = shapes.conj() @ np.where(used, left, 0) / energy
-    best = int(np.argmax(np.abs(level) * np.sqrt(energy)))
+    sought = np.flatnonzero((places >= low) & (places <= high))
+    best = int(sought[np.argmax((np.abs(level) * np.sqrt(energy))[sought])])
     away = np.abs(places - places[best]) > 2 * AROUND_END
     others = np.abs(level[away]) if away.sum() > 20 else np.abs(level)
     spread = max(
         float(np.median(others)) / 1.18, float(np.sqrt(twin.untouched.variance / energy[best]))
     )
-    if abs(level[best]) < DETECTED * spread or best in (0, len(places) - 1):
+    if abs(level[best]) < DETECTED * spread or best in sought[[0, -1]]:
         return Measured(value=0.0, deviation=spread), None
     wave = 2 * pi * twin.band.carrier / SPEED
     place = places[best] - float(np.angle(level[best])) / (2 * wave)

@@ -285,19 +285,20 @@ def _windowed(model: EchoModel, values: Complex, floors: Array) -> Data:
 
 def _rounding(closed: Sequence[Group], band: Band) -> Array:
     """Return the variance in counts squared that rounding adds to means in the baseband, (n,)."""
-    found = []
-    for group in closed:
-        whole = np.issubdtype(group.cycles.dtype, np.integer)
-        noise = float(np.std(np.asarray(group.cycles[:32, -64:], float), axis=0).mean())
-        found.append(band.white / 12 if whole and noise < DITHERED else 0.0)
-    return np.array(found)
+    return np.where([_distorted(group) for group in closed], band.white / 12, 0.0)
 
 
 def _quantised_levels(closed: Sequence[Group], data: Data, part: Array) -> Array:
-    """Return the standard deviations of the log levels due to rounding, if to integers, (n,)."""
+    """Return the standard deviations of the log levels due to rounding, if it distorts, (n,)."""
     peaks = np.where(data.segments == 1, np.abs(data.values), 0).max(axis=1)
-    whole = [np.issubdtype(closed[i].cycles.dtype, np.integer) for i in part]
-    return np.where(whole, 0.3 * np.maximum(peaks, 1.0) ** -1.5, 0.0)
+    rounded = [_distorted(closed[i]) for i in part]
+    return np.where(rounded, 0.3 * np.maximum(peaks, 1.0) ** -1.5, 0.0)
+
+
+def _distorted(group: Group) -> bool:
+    """Return whether cycles are rounded to integers without noise that makes rounding linear."""
+    noise = float(np.std(np.asarray(group.cycles[:32, -64:], float), axis=0).mean())
+    return bool(np.issubdtype(group.cycles.dtype, np.integer)) and noise < DITHERED
 
 
 def _unusable(band: Band, group: Group, spectrum: Complex, rails: tuple[float, float]) -> str:
@@ -319,9 +320,7 @@ def _unusable(band: Band, group: Group, spectrum: Complex, rails: tuple[float, f
         )
     inside = (band.time > 0.99 * flight - 0.1e-3) & (band.time < 1.01 * flight + 1.5e-3)
     peak = float(np.abs(band.baseband(spectrum))[inside].max())
-    whole = np.issubdtype(group.cycles.dtype, np.integer)
-    noise = float(np.std(np.asarray(group.cycles[:32, -64:], float), axis=0).mean())
-    if whole and peak < WEAKEST and noise < DITHERED:
+    if peak < WEAKEST and _distorted(group):
         return f"its echo has a peak of {peak:.1f} counts, which rounding distorts; raise the gain"
     begin = int((0.99 * flight - band.start) * band.rate)
     echo = np.asarray(group.cycles, float)[:, begin : begin + int(1.5e-3 * band.rate)]

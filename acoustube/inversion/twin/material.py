@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -80,7 +80,7 @@ class Material:
     left_out : dict
         Reasons why presses are left out, by index of the press.
     yields : bool
-        Whether the compliance exceeds :data:`SIGNIFICANT` standard deviations.
+        Whether the compliance exceeds :data:`SIGNIFICANT` standard deviations at a given modulus.
     """
 
     young_modulus: Measured
@@ -112,12 +112,15 @@ def fit_material(presses: Sequence[Press]) -> Material:
     proportional to the modulus: ``F = (E / E_0) F_0(d)``, with the force F_0 of the library. The
     depth d is that of the echo, which does not depend on the modulus; without an echo it is the
     stated one. The ground yields by ``c F``: stated depths are ``d_0 + d + c F``. Both are fitted
-    by linear least squares, averaged over the unknown scatter of the labels.
+    by linear least squares, averaged over the unknown scatter of the labels. Where no force is
+    stated, F is that of the modulus and of the depth of the echo, and the compliance has the
+    relative error of the modulus.
     """
     moduli = np.unique([one.tool.young_modulus for one in presses])
     if len(moduli) > 1:
         raise ConfigError(
-            "the presses are of tools whose libraries differ in Young's modulus; use one library"
+            "the presses are of indenters whose libraries differ in Young's modulus; use one "
+            "library"
         )
     modulus = float(moduli[0]) if presses else np.nan
     if not np.isfinite(modulus):
@@ -133,8 +136,15 @@ def fit_material(presses: Sequence[Press]) -> Material:
         one.tool.force_at(d) if np.isfinite(d) else 0.0
         for one, d in zip(presses, told, strict=True)
     ]
-    load = np.where(np.isfinite(force), force, np.array(usual, float))
+    # A force that is not stated is the library's at the echo's depth, for the wall's modulus.
+    scale, *_ = _stiffness(presses, told, sure, force)
+    load = np.where(np.isfinite(force), force, np.exp(scale.value) * np.array(usual, float))
     zero, compliance = _ground(told, sure, stated, load)
+    yields = compliance.value > SIGNIFICANT * compliance.deviation
+    known = np.isfinite(told) & np.isfinite(stated)
+    share = np.sum(load[known & ~np.isfinite(force)] ** 2) / max(np.sum(load[known] ** 2), 1e-300)
+    common = float(share) * compliance.value * scale.deviation
+    compliance = replace(compliance, deviation=float(np.hypot(compliance.deviation, common)))
     # Without an echo the depth is the stated one, less its origin and the ground's compression.
     depth = np.where(np.isfinite(told), told, stated - zero.value)
     sunk = np.where(np.isfinite(force), compliance.value * force, 0.0)
@@ -148,8 +158,7 @@ def fit_material(presses: Sequence[Press]) -> Material:
             value=modulus * factor, deviation=modulus * factor * scale.deviation
         ),
         poisson_ratio=presses[0].tool.poisson_ratio, compliance=compliance, zero=zero,
-        expected=factor * expected, left_out=left_out,
-        yields=compliance.value > SIGNIFICANT * compliance.deviation,
+        expected=factor * expected, left_out=left_out, yields=yields,
     )  # fmt: skip
 
 

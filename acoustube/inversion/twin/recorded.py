@@ -77,11 +77,12 @@ class Group:
     source: str = ""
 
     def __post_init__(self) -> None:
-        """Check the values."""
+        """Check the values; lists of cycles become an array."""
         place = Reals(0, 1e6, "m", ndim=0, missing=True)
         check_fields(
             self, cycles=Reals(ndim=2), temperature=TEMPERATURE, place=place, source=str
         )  # fmt: skip
+        object.__setattr__(self, "cycles", np.asarray(self.cycles))
 
 
 class Means(NamedTuple):
@@ -154,7 +155,7 @@ class Band:
         self.folded = high > rate / 2
         if self.folded:
             low, high = min(low, rate - high), 0.999 * rate / 2
-        if low >= high or carrier > rate:
+        if low <= 0 or low >= high or carrier > rate:
             raise ConfigError(
                 f"a sampling rate of {rate:g} Hz is too low for a carrier of {KHZ * carrier:.3g} "
                 f"kHz; record at {2.5 * carrier:.0f} Hz or more"
@@ -228,10 +229,18 @@ def band_of(
     Raises
     ------
     ConfigError
-        If the sampling rate is too low, the clipped ring-down takes most of a cycle, or the closed
-        cycles contain no sound from 15 to 120 kHz.
+        If a group has no cycles or cycles of another length, the sampling rate is too low, the
+        clipped ring-down takes most of a cycle, or the closed cycles contain no sound from 15 to
+        120 kHz.
     """
     n = untouched.shape[1]
+    shapes = [(one.source or "a closure", one.cycles.shape) for one in closed]
+    for name, (count, length) in [("the untouched tube", untouched.shape), *shapes]:
+        if count == 0 or length != n:
+            raise ConfigError(
+                f"{name} has {count} cycles of {length} samples, and the untouched cycles have "
+                f"{n} samples; give each group one or more cycles of one length"
+            )
     mean = np.asarray(untouched[:256], float).mean(axis=0)
     level = mean[-int(QUIET_SHARE * n) :].mean()
     size = np.abs(mean - level)

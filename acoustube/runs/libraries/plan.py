@@ -135,9 +135,7 @@ def _tool(path: LoadPath, tolerance: float, band: tuple[float, float] | None) ->
     config, settings = path.groups[0].cases[0].config, path.settings
     own = [case.config for group in path.groups for case in group.cases]
     if len({replace(one.waves, source_end="release") for one in own}) > 1:
-        raise ConfigError(
-            "a library is of one frequency and one air; make a library for each"
-        )
+        raise ConfigError("a library is of one frequency and one air; make a library for each")
     if settings.surface is not None:
         raise ConfigError("libraries are computed for round tubes only; leave out surface")
     if len(path.depths) < FEWEST_DEPTHS:

@@ -230,7 +230,7 @@ def _reflectors(recipe: Recipe, seed: int, length: float) -> Array:
 
     Those beyond the tube's end, of `length` in m, are left out.
     """
-    mean = np.array(recipe.reflectors)[: int(np.ceil(length / MEASURED_SPACING))]
+    mean = np.array(recipe.reflectors)[: int(length / MEASURED_SPACING)]
     if recipe.clutter_spread == 0:
         return mean
     deviation = np.sqrt(recipe.clutter_spread * MEASURED_SPACING)

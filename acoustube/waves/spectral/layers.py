@@ -40,9 +40,9 @@ from acoustube.waves.spectral.ports import Complex, PortModes
 from acoustube.waves.spectral.walls import Contours
 
 NARROW_SECTION = 60.0
-"""Height or width of a section, over |D_v|, below which gaps are measured at each point."""
+"""Height or width of a section, over ``|D_v|``, below which gaps are measured at each point."""
 WIDE_GAP = 30.0
-"""Gap, over |D_v| at the lowest frequency; an element counts as wide if all its gaps exceed it."""
+"""Gap, over ``|D_v|`` at the lowest frequency, that all gaps of a wide element exceed."""
 MANY_LAYERS = 15.0
 """Real part of h / 2D from which f is computed by its asymptotic series."""
 TANGENTIAL = 1e-3

@@ -13,7 +13,7 @@ import numpy as np
 import trimesh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, depth_first_order
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.units import MM
@@ -135,7 +135,7 @@ def _changed_part(
     )  # fmt: skip
     found = []
     for end in (first, last):
-        tree = cKDTree(_contour(surface, end, RIM_POINTS))
+        tree = KDTree(_contour(surface, end, RIM_POINTS))
         off = np.zeros(len(surface.faces), bool)
         for points, of_face in groups:
             near = tree.query(points[:, :2], distance_upper_bound=ALIKE / 2 * size)[0]
