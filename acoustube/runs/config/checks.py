@@ -229,6 +229,11 @@ def _nearest_and_shortest(
     return nearest, _round_up(nearest + reach)
 
 
+def usual_lowpass(waves: WaveSettings) -> float:
+    """Return the default cut-off of the envelope's low-pass in kHz."""
+    return min(10.0, waves.frequency_khz / 2)
+
+
 def shortest_tube(waves: WaveSettings, lowpass: float) -> float:
     """Return the least length in cm of a tube that suits the pulse and a low-pass in kHz."""
     record_ms = max(3 / lowpass, waves.cycles / waves.frequency_khz)

@@ -17,6 +17,7 @@ from acoustube.runs.config.checks import (
     check_resolution,
     check_round,
     check_touched,
+    usual_lowpass,
 )
 from acoustube.runs.config.settings import (
     IndentationSettings,
@@ -108,7 +109,7 @@ class Config:
     def lowpass_khz(self) -> float:
         """Cut-off of the envelope's low-pass in kHz; by default half the carrier, at most 10."""
         given = self.signals.lowpass_khz
-        return min(10.0, self.waves.frequency_khz / 2) if given is None else given
+        return usual_lowpass(self.waves) if given is None else given
 
     def _fill(self, section: str, name: str, value: float) -> None:
         """Replace a setting that is None by `value`, its default derived from other settings."""

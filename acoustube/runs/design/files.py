@@ -14,7 +14,12 @@ from acoustube.base.units import CM, KHZ
 from acoustube.inversion.baseband import CHIRP_BAND
 from acoustube.ranging import Burst, Chirp
 from acoustube.runs.config import configured, to_toml
-from acoustube.runs.config.checks import finest_needed, shortest_for_middle, shortest_tube
+from acoustube.runs.config.checks import (
+    finest_needed,
+    shortest_for_middle,
+    shortest_tube,
+    usual_lowpass,
+)
 from acoustube.runs.config.goal import DesignGoal
 from acoustube.runs.config.settings import WaveSettings
 from acoustube.runs.design.candidates import Candidate
@@ -70,10 +75,10 @@ def config_toml(design: DesignGoal, candidate: Candidate) -> str:
         frequency_khz=round(KHZ * r.resonance, 4), temperature_c=goal.temperature_c,
         cycles=min(max(round(r.drive.duration * r.drive.frequency), 2), 100),
     )  # fmt: skip
-    outer, low_pass = spec.bore + 2 * spec.wall, min(10.0, waves.frequency_khz / 2)
+    outer = spec.bore + 2 * spec.wall
     length = max(
         CM * goal.reach_m, shortest_for_middle(outer, goal.tools_mm[0], waves),
-        shortest_tube(waves, low_pass),
+        shortest_tube(waves, usual_lowpass(waves)),
     )  # fmt: skip
     config = configured(
         {}, inner_diameter_mm=spec.bore, wall_mm=spec.wall, shore_a=round(spec.shore, 3),
