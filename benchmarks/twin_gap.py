@@ -30,6 +30,7 @@ from acoustube.air import air_at
 from acoustube.base.report import SILENT
 from acoustube.inversion import Tool
 from acoustube.ranging import Rangefinder, record
+from acoustube.ranging.analogue import MEASURED_SPACING
 from acoustube.runs.libraries.files import open_library
 from acoustube.runs.twin import Bench as Known
 from acoustube.runs.twin import fitted_sensor
@@ -188,9 +189,10 @@ def rows_of(number: int, tool: Tool, library: Path):
         settings, modulus = fitted(bench, library, Path(folder))
     random, reading = np.random.default_rng([number, 6]), bench.reading()
     tables = {}
+    clutter_of_twin = np.array(settings["reflectors"])[: int(LENGTH / MEASURED_SPACING)]
     for name, own, clutter, stiff, air in (
         ("default", Rangefinder(), None, 1.0, reading),
-        ("twin", settings["rangefinder"], np.array(settings["reflectors"]),
+        ("twin", settings["rangefinder"], clutter_of_twin,
          settings.get("young_modulus", tool.young_modulus) / tool.young_modulus,
          reading - settings["rangefinder"].temperature_bias),
     ):  # fmt: skip

@@ -286,6 +286,10 @@ def test_tube_too_short_for_any_lowpass_is_named():
     )
     assert error.advice == "use at least 20.6, or a higher frequency_khz"
     load_config(frequency_khz=5, length_cm=20.6, cycles=3)
+    error = refused(
+        lambda: load_config(frequency_khz=5.25, length_cm=19, cycles=3), setting="length_cm"
+    )
+    load_config(frequency_khz=5.25, length_cm=error.allowed[0], cycles=3)
 
 
 def test_lowpass_is_faster_than_the_record():

@@ -434,6 +434,13 @@ def test_stated_units_are_known_or_refused(tmp_path, quantity, suffix):
             assert read(path, **given)[quantity].values == pytest.approx([20 * found])
 
 
+@pytest.mark.parametrize("remark", ["(room)", "# wall", "degC # wall", ""])
+def test_remarks_behind_a_value_are_no_unit(tmp_path, remark):
+    path = tmp_path / "a.csv"
+    path.write_text(f"# temperature: 21.5 {remark}\nsignal\n" + "1\n2\n" * 50)
+    assert read(path, rate=2e5)["temperature"].values == pytest.approx(21.5)
+
+
 @pytest.mark.parametrize("head", ["", "signal\n"])
 def test_one_column_is_one_record_with_and_without_a_name(tmp_path, head):
     """As an oscilloscope writes it; `samples` divides it into cycles."""

@@ -27,7 +27,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.base.units import CM
 from acoustube.inversion.joints import Joined
-from acoustube.inversion.paths import Entry, Section
+from acoustube.inversion.paths import BEFORE_END, Entry, Section
 from acoustube.inversion.tables import Matrices, padded
 from acoustube.waves import Bent
 from acoustube.waves.bent_modes import BentModes, bent_modes
@@ -193,7 +193,7 @@ class WrappedPath:
         """
         wrap = self.wrap
         low = max(nearest, wrap.start + wrap.reach)
-        high = min(wrap.stop - wrap.reach, length - 0.02)
+        high = min(wrap.stop - wrap.reach, length - BEFORE_END)
         if not high > low:
             raise ConfigError(
                 f"the wrap from {wrap.start:.3g} to {wrap.stop:.3g} m has no place for a press "

@@ -268,10 +268,16 @@ def _settings(path: Path, comments: list[str]) -> Contents:
     """Return the values of comments ``# key: value unit``; a time there is that of the day."""
     pairs = (re.match(r"#\s*([^:=]+?)\s*[:=]\s*(\S+)\s*(.*)", line) for line in comments)
     return {
-        with_unit(path, key, "" if value.endswith((",", ";")) else unit): _number(value)
+        with_unit(path, key, "" if value.endswith((",", ";")) else _unit_of(unit)): _number(value)
         for key, value, unit in (pair.groups() for pair in pairs if pair)
         if meaning(key)[0] not in ("", "time", "signal")
     }
+
+
+def _unit_of(words: str) -> str:
+    """Return the unit at the start of the rest of a comment, without remarks; empty if none."""
+    unit = words.partition("#")[0].strip()
+    return "" if unit.startswith("(") else unit
 
 
 def _is_header(cells: list[str]) -> bool:

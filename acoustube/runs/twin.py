@@ -175,6 +175,8 @@ def fitted_sensor(
     free = read_recordings(untouched, options, pulse_at)
     rate, start = _alike([*shut, *free])
     converter = _converter([*shut, *free], bench.bits)
+    if converter[1]:
+        shut, free = _of_counts(shut), _of_counts(free)
     groups = [group for path, data in shut for group in _groups(path, data)]
     lengths = [bench.length, *(stated_length(data) for _, data in [*shut, *free])]
     stated = next((length for length in lengths if length is not None), None)
@@ -262,6 +264,11 @@ def _groups(path: Path, data: xr.Dataset) -> list[Group]:
             )
         )
     return found
+
+
+def _of_counts(parts: Sequence[tuple[Path, xr.Dataset]]) -> list[tuple[Path, xr.Dataset]]:
+    """Return recordings with counts of integer type, which may be stored as other numbers."""
+    return [(path, data.assign(signal=data["signal"].astype(int))) for path, data in parts]
 
 
 def _converter(

@@ -170,7 +170,7 @@ def _state(
             depth, deviation = contact.depth.value, contact.depth.deviation
     stated, force = label["depth"], label["force"]
     if reason and len(library.tools) > 1:
-        reason += ", and no label diameter says which indenter pressed"
+        reason += ", and its labels do not say which of several indenters pressed"
         stated = force = np.nan
     press = Press(tool, depth, deviation, stated, force)
     return PressedState(source=str(path), place=place, press=press, reason=reason)

@@ -68,6 +68,8 @@ class PressedTube:
             reflection=checks.Complex(0, 1e6), sound_speed=SPEED,
             transmission=checks.Optional(checks.Complex(0, 1e6)),
         )  # fmt: skip
+        for name in ("depth", "force", "frequency"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), float))
         check_alike(depth=self.depth, force=self.force)
         n = len(self.depth)
         if n < FEWEST or self.reflection.shape != (n, len(self.frequency)):

@@ -236,7 +236,8 @@ def usual_lowpass(waves: WaveSettings) -> float:
 
 def shortest_tube(waves: WaveSettings, lowpass: float) -> float:
     """Return the least length in cm of a tube that suits the pulse and a low-pass in kHz."""
-    record_ms = max(3 / lowpass, waves.cycles / waves.frequency_khz)
+    # A low-pass is given to two decimals, as in the advice of check_lowpass.
+    record_ms = max(3 / _round_down(lowpass), waves.cycles / waves.frequency_khz)
     return _round_up(sound_speed(waves.temperature_c) * record_ms / (2 * MM_PER_CM))
 
 
