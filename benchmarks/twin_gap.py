@@ -30,7 +30,7 @@ from acoustube.air import air_at
 from acoustube.base.report import SILENT
 from acoustube.inversion import Tool
 from acoustube.ranging import Rangefinder, record
-from acoustube.ranging.analogue import MEASURED_SPACING
+from acoustube.ranging.analogue import within
 from acoustube.runs.libraries.files import open_library
 from acoustube.runs.twin import Bench as Known
 from acoustube.runs.twin import fitted_sensor
@@ -189,7 +189,7 @@ def rows_of(number: int, tool: Tool, library: Path):
         settings, modulus = fitted(bench, library, Path(folder))
     random, reading = np.random.default_rng([number, 6]), bench.reading()
     tables = {}
-    clutter_of_twin = np.array(settings["reflectors"])[: int(LENGTH / MEASURED_SPACING)]
+    clutter_of_twin = within(settings["reflectors"], LENGTH)
     for name, own, clutter, stiff, air in (
         ("default", Rangefinder(), None, 1.0, reading),
         ("twin", settings["rangefinder"], clutter_of_twin,

@@ -64,6 +64,8 @@ def test_error_of_the_thermometer_is_what_a_file_or_a_simulated_recording_states
     ):  # fmt: skip
         assert read_sensor(path).temperature_bias(data) == bias
     assert Sensor().temperature_bias(simulated) == 0.7
+    with pytest.raises(ConfigError, match="rangefinder of a recording"):
+        Sensor().temperature_bias(simulated.assign_attrs(rangefinder="damaged"))
 
 
 def test_untouched_recordings_of_another_rate_are_refused():

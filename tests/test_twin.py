@@ -23,6 +23,7 @@ from acoustube.inversion.twin.estimate import _quantised_levels, _rounding
 from acoustube.inversion.twin.fit import Data, Point, Prior, normal_equations, solve
 from acoustube.inversion.twin.model import LOCAL, NOMINAL_RADIUS, SHARED, EchoModel
 from acoustube.ranging import Burst, Rangefinder, blockage, digitise, response
+from acoustube.ranging.analogue import within
 from acoustube.recordings import read
 from acoustube.runs.inversion import read_sensor
 from acoustube.runs.libraries import files
@@ -729,7 +730,7 @@ def test_dataset_records_with_the_measured_clutter(made):
     assert recipe.name != Recipe(rangefinder=recipe.rangefinder).name
     _, own = response(
         [], recipe.rangefinder, radius=RADIUS, length=LENGTH, temperature=AIR,
-        reflectors=np.array(recipe.reflectors)[: int(1e3 * LENGTH)],
+        reflectors=within(recipe.reflectors, LENGTH),
     )  # fmt: skip
     true = voltage([])
     near = slice(int(2.2e-3 * SENSOR.sampling_rate), int(3.5e-3 * SENSOR.sampling_rate))

@@ -80,6 +80,11 @@ def blockage(frequency: Array, position: float) -> PlacedScatterer:
     return PlacedScatterer(closed, position)
 
 
+def within(reflectors: Sequence[float] | Array, length: float) -> Array:
+    """Return those of reflectors, :data:`MEASURED_SPACING` apart, in a tube of a length in m."""
+    return np.asarray(reflectors, float)[: int(length / MEASURED_SPACING)]
+
+
 @checked(
     presses=Several(PlacedScatterer),
     air=Air,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from acoustube.base.errors import ConfigError
+from acoustube.base.foreign.results import settings_in
 from acoustube.base.report import Reporter
 from acoustube.base.rules import Number, nearest
 from acoustube.base.units import CM, KHZ, MM, PERCENT
@@ -103,7 +103,8 @@ class Sensor:
             return self.rangefinder.temperature_bias
         if recorded is None or "session" in recorded:
             return 0.0
-        own = json.loads(recorded.attrs.get("rangefinder", "{}"))
+        stated = recorded.attrs.get("rangefinder", "{}")
+        own = settings_in(stated, "the attribute rangefinder of a recording")
         return float(own.get("temperature_bias", 0.0))
 
 

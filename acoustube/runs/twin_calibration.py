@@ -14,7 +14,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.units import CM, MM, PERCENT, US
 from acoustube.ranging import Burst, Chirp, Rangefinder, Tones, blockage, record
-from acoustube.ranging.analogue import MEASURED_SPACING
+from acoustube.ranging.analogue import within
 from acoustube.runs.sensor_file import (
     KIND,
     finite_numbers,
@@ -78,9 +78,7 @@ def twin_calibration(path: Path) -> Calibration:
     bore, length, trigger = diameter / MM, along / CM, start / US
     common: dict[str, Any] = {
         "radius": bore / 2, "length": length, "temperature": AIR,
-        "reflectors": np.array(twin_settings(path)["reflectors"])[
-            : int(length / MEASURED_SPACING)
-        ],
+        "reflectors": within(twin_settings(path)["reflectors"], length),
     }  # fmt: skip
     try:
         return _calibrated(own, trigger, common)

@@ -87,9 +87,7 @@ def check_position(
     tube: TubeSettings, indenter_mm: float, position: float, waves: WaveSettings
 ) -> None:
     """Raise if the part bent by a press at a position in cm reaches the probe plane or far end."""
-    reach = pressed_reach(tube.outer_diameter_mm, indenter_mm) / MM_PER_CM
-    reach += CLEARANCE * tube.outer_diameter_mm / MM_PER_CM
-    nearest, shortest = _nearest_and_shortest(tube.outer_diameter_mm, indenter_mm, waves)
+    reach, nearest, shortest = _room(tube.outer_diameter_mm, indenter_mm, waves)
     farthest = _round_down(tube.length_cm - reach)
     bends = f"the press takes {reach:.4g} cm of the tube on each side"
     if nearest > farthest:
@@ -134,13 +132,9 @@ def grid_cells(
 
 def check_resolution(tube: TubeSettings, indenter_mm: float, waves: WaveSettings) -> None:
     """Raise if the grid is too coarse for the sound, or too large."""
-    bore, highest = tube.inner_diameter_mm, waves.frequency_khz
-    words = "the carrier"
-    if waves.method != "full":  # scattering is computed over the pulse's whole band
-        highest *= 1 + BAND_WIDTH / waves.cycles
-        words = "the pulse's highest frequency"
-    wavelength_mm = sound_speed(waves.temperature_c) / highest
-    coarsest = math.ceil(CELLS_PER_WAVELENGTH * bore / wavelength_mm)
+    bore, highest = tube.inner_diameter_mm, _highest_khz(waves)
+    words = "the carrier" if waves.method == "full" else "the pulse's highest frequency"
+    coarsest = coarsest_grid(bore, waves)
     if waves.resolution < coarsest:
         raise ConfigError(
             f"is too coarse for {words}, {highest:.4g} kHz, in a bore of {bore:g} mm "
@@ -220,13 +214,14 @@ def check_lowpass(tube: TubeSettings, waves: WaveSettings, lowpass: float) -> No
         )  # fmt: skip
 
 
-def _nearest_and_shortest(
-    outer_mm: float, indenter_mm: float, waves: WaveSettings
-) -> tuple[float, float]:
-    """Return the nearest position of a press, and the least length of a tube for it, in cm."""
+def _room(outer_mm: float, indenter_mm: float, waves: WaveSettings) -> tuple[float, float, float]:
+    """Return what a press takes of the tube on each side, its nearest position, the least length.
+
+    All are in cm.
+    """
     reach = (pressed_reach(outer_mm, indenter_mm) + CLEARANCE * outer_mm) / MM_PER_CM
     nearest = _round_up(waves.probe_cm + reach)
-    return nearest, _round_up(nearest + reach)
+    return reach, nearest, _round_up(nearest + reach)
 
 
 def usual_lowpass(waves: WaveSettings) -> float:
@@ -243,14 +238,20 @@ def shortest_tube(waves: WaveSettings, lowpass: float) -> float:
 
 def shortest_for_middle(outer_mm: float, indenter_mm: float, waves: WaveSettings) -> float:
     """Return the least length in cm of a tube that can be pressed in its middle."""
-    nearest, shortest = _nearest_and_shortest(outer_mm, indenter_mm, waves)
+    _, nearest, shortest = _room(outer_mm, indenter_mm, waves)
     return max(2 * nearest, shortest)
 
 
-def finest_needed(bore: float, waves: WaveSettings) -> int:
-    """Return the least number of grid cells across a bore in mm for the pulse's whole band."""
-    highest = waves.frequency_khz * (1 + BAND_WIDTH / waves.cycles)
-    return math.ceil(CELLS_PER_WAVELENGTH * bore * highest / sound_speed(waves.temperature_c))
+def coarsest_grid(bore: float, waves: WaveSettings) -> int:
+    """Return the least number of grid cells across a bore in mm."""
+    wavelength_mm = sound_speed(waves.temperature_c) / _highest_khz(waves)
+    return math.ceil(CELLS_PER_WAVELENGTH * bore / wavelength_mm)
+
+
+def _highest_khz(waves: WaveSettings) -> float:
+    """Return the carrier, or for scattering matrices the end of the pulse's band, in kHz."""
+    wide = 1.0 if waves.method == "full" else 1 + BAND_WIDTH / waves.cycles
+    return waves.frequency_khz * wide
 
 
 def _record_ms(tube: TubeSettings, waves: WaveSettings) -> float:

@@ -15,7 +15,7 @@ from acoustube.inversion.baseband import CHIRP_BAND
 from acoustube.ranging import Burst, Chirp
 from acoustube.runs.config import configured, to_toml
 from acoustube.runs.config.checks import (
-    finest_needed,
+    coarsest_grid,
     shortest_for_middle,
     shortest_tube,
     usual_lowpass,
@@ -73,7 +73,8 @@ def config_toml(design: DesignGoal, candidate: Candidate) -> str:
         ground = {"support": "free", "layer_mm": goal.layer_mm, "layer_mpa": goal.layer_mpa}
     waves = WaveSettings(
         frequency_khz=round(KHZ * r.resonance, 4), temperature_c=goal.temperature_c,
-        cycles=min(max(round(r.drive.duration * r.drive.frequency), 2), 100),
+        cycles=min(max(round(r.drive.duration * r.drive.frequency), 2), 100), method="spectral",
+        losses="on",
     )  # fmt: skip
     outer = spec.bore + 2 * spec.wall
     length = max(
@@ -84,7 +85,7 @@ def config_toml(design: DesignGoal, candidate: Candidate) -> str:
         {}, inner_diameter_mm=spec.bore, wall_mm=spec.wall, shore_a=round(spec.shore, 3),
         length_cm=length, indenter_mm=goal.tools_mm[0], depth_mm=round(spec.bore / 2, 3),
         frequency_khz=waves.frequency_khz, cycles=waves.cycles,
-        resolution=max(waves.resolution, finest_needed(spec.bore, waves)),
-        temperature_c=goal.temperature_c, method="spectral", losses="on", **ground,
+        resolution=max(waves.resolution, coarsest_grid(spec.bore, waves)),
+        temperature_c=goal.temperature_c, method=waves.method, losses=waves.losses, **ground,
     )  # fmt: skip
     return to_toml(config)

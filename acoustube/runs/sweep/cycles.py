@@ -20,7 +20,7 @@ from acoustube.base.rules import Choice, Number
 from acoustube.base.types import Array
 from acoustube.base.version import __version__
 from acoustube.ranging import Burst, Rangefinder
-from acoustube.ranging.analogue import MEASURED_SPACING
+from acoustube.ranging.analogue import MEASURED_SPACING, within
 from acoustube.runs.config import configured
 from acoustube.runs.config.si import SISettings, settings_in_si
 from acoustube.runs.scattering_file import StoredScattering, from_dataset
@@ -230,7 +230,7 @@ def _reflectors(recipe: Recipe, seed: int, length: float) -> Array:
 
     Those beyond the tube's end, of `length` in m, are left out.
     """
-    mean = np.array(recipe.reflectors)[: int(length / MEASURED_SPACING)]
+    mean = within(recipe.reflectors, length)
     if recipe.clutter_spread == 0:
         return mean
     deviation = np.sqrt(recipe.clutter_spread * MEASURED_SPACING)
