@@ -267,7 +267,7 @@ def test_frequencies_too_far_apart_or_uneven_are_refused():
     two_modes = made(coarse, np.zeros((len(coarse), 4, 4), complex), ("00", "21c"))
     with pytest.raises(ValueError, match="steps of 500 Hz are too coarse"):
         interpolate_scattering(two_modes, coarse)
-    with pytest.raises(ValueError, match="must be evenly spaced"):
+    with pytest.raises(ValueError, match="evenly spaced frequencies"):
         interpolate_scattering(mirror(0.5, uneven), uneven)
 
 
@@ -327,6 +327,8 @@ def test_lists_of_frequencies_and_reflections_are_taken_as_arrays():
     found = transfer([], AIR, f, far_reflection=far, **tube())
     wanted = transfer([], AIR, np.array(f), far_reflection=np.array(far), **tube())
     assert np.array_equal(found, wanted)
+    with pytest.raises(ValueError, match=r"far_reflection has shape \(3,\)"):
+        transfer([], AIR, f, **tube(far_reflection=np.zeros(3)))
     refused(lambda: transfer([], AIR, ["x"], **tube()), setting="frequency")
     refused(lambda: transfer([], AIR, [[1.0], [1.0, 2.0]], **tube()), setting="frequency")
 

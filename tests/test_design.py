@@ -611,6 +611,20 @@ def passing(**changes):
     return analytic(frequency, transmission=whole[:, :, 1, 0, 0, 0], **changes)
 
 
+def test_scattering_of_a_warmer_tube_is_that_of_equal_wavelengths():
+    """In air of 30 degC a frequency has the wavelength that a 1.7 % lower one had at 20 degC."""
+    cold = analytic(np.arange(33e3, 52e3, 100.0))
+    cold = dataclasses.replace(cold, transmission=cold.reflection)
+    warm = choosing.warmed(cold, 30.0)
+    ratio = air_at(30.0).sound_speed / air_at(20.0).sound_speed
+    assert warm.sound_speed / cold.sound_speed == pytest.approx(ratio)
+    there, here = np.searchsorted(cold.frequency, [40e3 * ratio, 40e3])
+    for name in ("reflection", "transmission"):
+        old, new = getattr(cold, name)[:, here], getattr(warm, name)[:, there]
+        np.testing.assert_allclose(new, old, atol=0.02)  # one step of 100 Hz
+        assert np.abs(getattr(cold, name)[:, there] - old).max() > 0.05
+
+
 def pair_contacts(places=(0.5, 0.7), forces=(18.0, 50.0)):
     return contacts(np.array(places), np.array(forces))
 

@@ -43,7 +43,7 @@ from acoustube.runs.inversion import RecordingInverter, Sensor
 from acoustube.runs.libraries import files
 from acoustube.runs.libraries.plan import tool_plans
 from acoustube.runs.two_ends import EndsContacts
-from acoustube.waves import PlacedScatterer, Scattering, transfer
+from acoustube.waves import PlacedScatterer, SampledPulse, Scattering, transfer
 from acoustube.waves.modes import axial_wavenumber, cut_on_frequency
 
 RADIUS, MODES = 3.95e-3, ("00", "11c", "21c")
@@ -275,6 +275,8 @@ def test_lists_of_a_tool_or_a_wrap_are_arrays():
     assert listed.force_at(4e-3) == usual.force_at(4e-3)
     assert listed.force_deviation(4e-3) == usual.force_deviation(4e-3)
     assert (2 * listed.force).shape == usual.force.shape
+    pulse = SampledPulse(pressure=[0.0, 1.0, -1.0, 0.0], rate=1e6)
+    assert (2 * pulse.pressure).tolist() == [0.0, 2.0, -2.0, 0.0]
     wrap = Wrap(place=[0.2, 0.6], curvature=[10, 12], torsion=[1, 2]).from_other_end(1.0)
     assert wrap.place.tolist() == [0.4, 0.8]
 

@@ -125,6 +125,9 @@ def test_cycles_are_left_out_when_others_wait(folder, cycles):
     assert follower.update(cycles[13], 0.65, waiting=0).contacts == []
 
 
+LATE_WRAP = "[wrap]\nlead_cm = 60\nloops = 9\nforearm_cm = [26, 18, 26.6]\n"
+
+
 @pytest.mark.parametrize(
     ("sensor", "rate", "reason"),
     [
@@ -135,6 +138,11 @@ def test_cycles_are_left_out_when_others_wait(folder, cycles):
             "80000 Hz and the sensor sampling_rate",
         ),
         (None, 60e3, "aliases the band of a carrier of 42 kHz"),
+        (
+            f"bits = 8\nsampling_rate = 80e3\nlength_cm = 40\n{LATE_WRAP}",
+            80e3,
+            "has no place for a press",
+        ),
     ],
 )
 def test_sensor_that_is_not_the_board_s_is_one_sentence(folder, tmp_path, sensor, rate, reason):

@@ -385,20 +385,48 @@ def test_displacement_converges_with_order_two_to_three_and_force_with_order_fou
     assert orders[:, 1] == pytest.approx([4.0, 4.0], abs=0.2)
 
 
-DRAWS = []
+PIECE = 5e-3
+"""Length in m of the quarter that is filled in the tests of bad draws."""
+
+
+def filled_quarter():
+    """Return points in m and tetrahedra of a quarter of the tube: bricks, each cut in six."""
+    n = np.array([4, 12, 4])  # through the wall, around and along: more than one around any node
+    r, angle, z = (np.linspace(0, 1, k + 1) for k in n)
+    r, angle, z = np.meshgrid(
+        (BORE / 2 + WALL * r) / 1e3, np.pi * (angle - 0.5), PIECE * z, indexing="ij"
+    )
+    points = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=-1).reshape(-1, 3)
+    strides = np.array([(n[1] + 1) * (n[2] + 1), n[2] + 1, 1])
+    first = np.stack(np.meshgrid(*map(np.arange, n), indexing="ij"), axis=-1) @ strides
+    paths = [np.cumsum([0, *order]) for order in itertools.permutations(strides)]
+    cells = (first.reshape(-1, 1, 1) + np.array(paths)).reshape(-1, 4)
+    return points, tetrahedra._positively_oriented(points, cells)
 
 
 @pytest.fixture
 def same_draw(monkeypatch):
-    """Fill the piece of these tests once, and return the same tetrahedra for each attempt."""
-    fill = tetrahedra._tetrahedralised
+    """Fill the piece of these tests with the same sound tetrahedra in each attempt."""
+    draw = filled_quarter()
+    monkeypatch.setattr(tetrahedra, "_tetrahedralised", lambda *_: draw)
 
-    def filled(*piece):
-        if not DRAWS:
-            DRAWS.append(fill(*piece))
-        return DRAWS[0]
 
-    monkeypatch.setattr(tetrahedra, "_tetrahedralised", filled)
+def test_a_mesh_whose_ends_are_not_all_plane_is_drawn_again(surface, monkeypatch):
+    """A dent in a plane of symmetry, in the middle of the wall, counts as a third wall."""
+    sound, cells = filled_quarter()
+    dented = sound.copy()
+    radius = np.hypot(*sound[:, :2].T)
+    middle = (sound[:, 2] == 0) & np.isclose(radius, 1e-3 * (BORE + WALL) / 2)
+    dented[np.flatnonzero(middle)[6], 2] = WALL / 4e3
+    draws = [(dented, cells), (sound, cells)]
+    monkeypatch.setattr(tetrahedra, "_tetrahedralised", lambda *_: draws.pop(0))
+    tetrahedral_mesh(surface, reach=PIECE, halved=(True, True), size=COARSE)
+    assert draws == []
+
+    draws.extend([(dented, cells)] * tetrahedra.ATTEMPTS)
+    with pytest.raises(ConfigError, match="3 separate sides"):
+        tetrahedral_mesh(surface, reach=PIECE, halved=(True, True), size=COARSE)
+    assert draws == []
 
 
 @pytest.mark.usefixtures("same_draw")
@@ -413,12 +441,12 @@ def test_a_mesh_with_a_flat_element_is_drawn_again(surface, monkeypatch):
         return np.array([(0.9 if flat and flat.pop() else 1.1) * worst, 1.0])
 
     monkeypatch.setattr(tetrahedra, "qualities", judged)
-    tetrahedral_mesh(surface, reach=0.005, halved=(True, True), size=COARSE)
+    tetrahedral_mesh(surface, reach=PIECE, halved=(True, True), size=COARSE)
     assert flat == []
 
     flat.extend([True] * tetrahedra.ATTEMPTS)
     with pytest.raises(ConfigError, match="could not be filled with well-shaped tetrahedra"):
-        tetrahedral_mesh(surface, reach=0.005, halved=(True, True), size=COARSE)
+        tetrahedral_mesh(surface, reach=PIECE, halved=(True, True), size=COARSE)
     assert flat == []
 
 
@@ -442,7 +470,7 @@ def test_a_mesh_whose_nodes_are_astray_is_drawn_again(shares, taken, surface, mo
     monkeypatch.setattr(tetrahedra, "ATTEMPTS", 3)
     told = []
     mesh = tetrahedral_mesh(
-        surface, reach=0.005, halved=(True, True), size=COARSE, note=told.append
+        surface, reach=PIECE, halved=(True, True), size=COARSE, note=told.append
     )
     assert mesh is drawn[taken]
     over = shares[taken] > 0.01
@@ -456,7 +484,7 @@ def test_mesh_with_a_node_off_a_plane_of_symmetry_is_never_taken(surface, monkey
     shape = boundary_nodes.quadratic
     monkeypatch.setattr(tetrahedra, "quadratic", lambda *piece: (shape(*piece)[0], 1.0))
     with pytest.raises(ConfigError):
-        tetrahedral_mesh(surface, reach=0.005, halved=(True, True), size=COARSE)
+        tetrahedral_mesh(surface, reach=PIECE, halved=(True, True), size=COARSE)
 
 
 def test_quality_of_a_regular_tetrahedron_is_one():

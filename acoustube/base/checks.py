@@ -56,8 +56,14 @@ class Reals:
     empty: bool = False
     kinds: str = "iufb"
 
-    def check(self, name: str, value: Any) -> None:
-        """Raise ConfigError unless the values are real, within the bounds, of the right shape."""
+    def check(self, name: str, value: Any) -> Any:
+        """Return the value, a list as an array.
+
+        Raises
+        ------
+        ConfigError
+            If the values are not real, not within the bounds, or not of the right shape.
+        """
         import numpy as np  # the command line imports this module before it needs arrays
 
         try:
@@ -75,17 +81,19 @@ class Reals:
         if self.last is not None and (array.ndim == 0 or array.shape[-1] != self.last):
             wanted = f"give an array of shape (..., {self.last})"
             raise self._error(name, value, f"has shape {array.shape}", wanted)
+        found = array if isinstance(value, list) else value
         if array.size == 0:
             if self.empty or (array.ndim > 1 and array.shape[-1]):
-                return
+                return found
             raise self._error(name, value, f"is empty, of shape {array.shape}", "give values")
         if self.missing:
             array = array[np.isfinite(array)]
         if array.dtype.kind == "U":
-            return
+            return found
         # Written so that nan fails too.
         if array.size and not (float(array.min()) >= self.low and float(array.max()) <= self.high):
             raise self._error(name, value, "is out of range or not finite")
+        return found
 
     def _wanted_axes(self) -> str:
         """Return the advice for an array with a wrong number of axes."""
@@ -168,11 +176,15 @@ class Instance:
     def check(self, name: str, value: Any) -> None:
         """Raise ConfigError unless the value is of one of the classes."""
         if not isinstance(value, self.kinds):
-            words = " or ".join(f"a {kind.__name__}" for kind in self.kinds)
+            words = " or ".join(_with_article(kind.__name__) for kind in self.kinds)
             raise ConfigError(
                 f"is of type {type(value).__name__}", setting=name, value=value,
                 advice=f"give {words}",
             )  # fmt: skip
+
+
+def _with_article(noun: str) -> str:
+    return f"{'an' if noun[0].lower() in 'aeiou' else 'a'} {noun}"
 
 
 @dataclass(frozen=True)
@@ -239,7 +251,8 @@ def check_argument(name: str, value: Any, rule: Any) -> Any:
 
     A class as a rule stands for its instances. Under a rule for a number, a number of NumPy is
     returned as a plain float or int; if only whole numbers are allowed, any number as an int. Under
-    a rule for complex numbers, a list or tuple is returned as an array.
+    a rule for complex numbers, a list or tuple is returned as an array, and under one for real
+    numbers a list.
     """
     if isinstance(rule, type):
         rule = Instance((rule,))
@@ -249,7 +262,7 @@ def check_argument(name: str, value: Any, rule: Any) -> Any:
         value = value.item()  # NumPy's numbers, and arrays of one
     found = rule.check(name, value)
     plain = isinstance(rule, Number) and (rule.whole or not isinstance(value, int | float))
-    return found if plain or isinstance(rule, Complex) else value
+    return found if plain or isinstance(rule, Complex | Reals) else value
 
 
 def checked(**rules: Any) -> Callable[[Callable[P, T]], Callable[P, T]]:

@@ -72,8 +72,9 @@ MAX_OFF_SURFACE = 0.01
 
 Nodes stay off the surface where they would distort their elements. No node may be off a plane."""
 ATTEMPTS = 6
-"""Largest number of meshes tried. About one in twenty has a flat element next to a plane, and one
-in twelve has more than `MAX_OFF_SURFACE` of a wall's nodes off its surface."""
+"""Largest number of meshes tried. About one in twenty has a flat element next to a plane, one in
+twelve has more than `MAX_OFF_SURFACE` of a wall's nodes off its surface. In rare ones, none of 200
+draws, a dented plane of symmetry counts as a third wall."""
 VOLUME_TOLERANCE = 0.01
 """Largest relative error of the mesh's volume."""
 CHILD = """
@@ -178,13 +179,20 @@ def tetrahedral_mesh(
     edge = whole.thickness * _edge_lengths(z, size, whole.outer.extents[1])
     check_thickness(piece, whole, edge)
     best, least = None, 1.0  # a mesh with a node off a plane, which counts as 1, is never accepted
+    refused = []
     for _ in range(ATTEMPTS):
         points, tetrahedra = _tetrahedralised(piece, z, edge, whole.thickness)
-        mesh, off_surface = quadratic(points, tetrahedra, planes, whole, symmetric)
+        try:
+            mesh, off_surface = quadratic(points, tetrahedra, planes, whole, symmetric)
+        except ConfigError as error:  # not two walls
+            refused.append(error)
+            continue
         if off_surface < least and qualities(mesh.points, mesh.elements).min() > MIN_QUALITY:
             best, least = mesh, off_surface
         if least <= MAX_OFF_SURFACE:
             break
+    if len(refused) == ATTEMPTS:
+        raise refused[-1]
     if best is None:
         raise ConfigError(
             f"the wall could not be filled with well-shaped tetrahedra in {ATTEMPTS} attempts; "

@@ -79,8 +79,8 @@ class Inversion:
     fits : bool
         Whether the misfit is at most :data:`MISFIT`, or nan.
     temperature, gain, stretch : Estimate
-        Deviations of the air's temperature in K and of the logarithm of the gain, and relative
-        stretch of frequency in the presses.
+        Difference of the air's temperature from the model's in K, logarithm of the gain relative to
+        the model's, and relative stretch of frequency in the presses.
     number : dict of float
         Probability of each number of presses that was tried.
     hypotheses : list of Hypothesis

@@ -26,22 +26,23 @@ from acoustube.waves.scattering import Complex
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """Scattering of presses between bends, in the modes of the bends.
+    """Scattering of n presses between bends at n_f frequencies, in the modes of the bends.
 
     Attributes
     ----------
     straight : Matrices
         Scattering between three straight modes, zero for modes that the tool does not have.
     joints, moved : ndarray
-        Joints at both ports, and their derivatives by position in 1/m, (2, n, n_f, n_parts); see
+        Scattering matrices of the joints at both ports, flattened, and their derivatives by the
+        position of the press in 1/m, (2, n, n_f, n_parts); see
         :mod:`acoustube.inversion.joint_sums`.
     way : ndarray
         Propagation factors of the straight modes from a press to a joint, (n, n_f, 3).
     warm : ndarray
         Relative derivatives of `way` by temperature in 1/K, (n_f, 3).
     through, through_warm : ndarray
-        Propagation factors of the modes that pass unscattered, from joint to joint, and their
-        relative derivatives by temperature in 1/K, (n, n_f, n_own) and (n_f, n_own).
+        Propagation factors of the n_own modes that pass the press unscattered, from joint to joint,
+        and their relative derivatives by temperature in 1/K, (n, n_f, n_own) and (n_f, n_own).
     untouched : ndarray
         Transmission of the plane wave from port to port of a bend without a press, (n, n_f).
     """

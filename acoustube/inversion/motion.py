@@ -90,7 +90,7 @@ class Branches:
     tools : tuple of int
         Index in the library of the tool of each contact, in the order along the tube.
     mean : ndarray
-        Mean of the state in each of n branches, (n, 4 n_contacts + 6).
+        Mean of the state (see the module) in each of n branches, (n, 4 n_contacts + 6).
     covariance : ndarray
         Covariance of the state in each branch, (n, 4 n_contacts + 6, 4 n_contacts + 6).
     level : ndarray
@@ -232,7 +232,10 @@ class Update:
     information: Array
 
     def joined(self, other: Update) -> Update:
-        """Return these branches and others of the same contacts, sorted by level, best first."""
+        """Return one update with the branches of both, sorted by level, best first.
+
+        The contacts of both must be the same.
+        """
         both = Update(
             self.branches.joined(other.branches),
             *(

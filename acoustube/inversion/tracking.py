@@ -54,7 +54,8 @@ class Tracked:
         Root of the unexplained fraction of the echo's energy; nan without contacts. Unlike that of
         :class:`acoustube.inversion.Inversion`, it may be below the most likely model error.
     temperature, gain : Estimate
-        Deviations of the air's temperature in K and of the gain's logarithm.
+        Difference of the air's temperature from the model's in K, and logarithm of the gain
+        relative to the model's.
     place : ndarray
         Distances in m whose echoes arrive at the times of the baseband, (n_time,).
     measured, explained : ndarray

@@ -81,7 +81,7 @@ SHIFTS = ((-1, 0.0), (0, -0.3e-3), (1, 0.0), (0, 0.3e-3))
 """Shifts of place in half wavelengths and of depth in m by which other maxima are sought: in turn
 the two of place and the two of depth. Shifts of place are also applied to all contacts together."""
 RESTARTED = -3.0
-"""Logarithm of the prior odds that a contact has jumped."""
+"""Logarithm of the prior odds that a contact has left its predicted place or depth in a jump."""
 
 
 class Track:

@@ -166,8 +166,9 @@ def _combined(one: Estimate, other: Estimate, shared: float) -> tuple[Array, Arr
         Means and standard deviations of the products, (n m,): first those of all of `other` with
         the first of `one`.
     off, weight : ndarray
-        Squared differences of the two means in standard deviations, and factors, (n m,): the weight
-        of a product is ``weight * exp(-off / 2)``.
+        Squared differences of the two means, relative to the variance of this difference without
+        the shared error, and factors, (n m,). The integral of a product is in proportion to
+        ``weight * exp(-off / 2)``; the weights in the two mixtures multiply it.
     """
     a, b = (
         np.maximum(it.deviations**2 - shared**2, (LEAST * it.deviations) ** 2)

@@ -1,4 +1,4 @@
-"""A-weighted level of a rangefinder's drive, relative to a steady tone.
+"""A-weighted level of the sound that a rangefinder sends, relative to a steady tone of 1 kHz.
 
 References
 ----------

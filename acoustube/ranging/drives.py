@@ -156,7 +156,7 @@ class Chirp(Section):
         return np.where((t >= 0) & (t <= self.duration), wave, 0.0)
 
     def spectrum(self, frequency: Complex) -> Complex:
-        """Return the Fourier transform in s at frequencies in Hz, real or complex.
+        """Return the Fourier transform (unit: s) at frequencies in Hz, real or complex.
 
         A closed form by the Faddeeva function; a window is a sum of shifted spectra.
         """
@@ -168,7 +168,7 @@ class Chirp(Section):
         return np.asarray(lines)
 
     def _rectangular(self, frequency: Complex) -> Complex:
-        """Return the Fourier transform in s of the chirp with a rectangular window."""
+        """Return the transform (unit: s) of the chirp without a window, at frequencies in Hz."""
         first = self.frequency - self.bandwidth / 2
         f = np.asarray(frequency, complex)
         rising = _fresnel(np.asarray(first - f), self.rate, self.duration)
@@ -231,7 +231,7 @@ class Tones(Section):
         return total
 
     def spectrum(self, frequency: Complex) -> Complex:
-        """Return the Fourier transform in s at frequencies in Hz, real or complex."""
+        """Return the Fourier transform (unit: s) at frequencies in Hz, real or complex."""
         f = np.asarray(frequency)
         total = np.zeros(f.shape, complex)
         for tone, start, lasting, level in self._parts:

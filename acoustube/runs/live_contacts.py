@@ -118,7 +118,8 @@ class Follower:
         self.before: float | None = None
         self.n_skipped = 0
         self.times: list[float] = []
-        self.tracker: ContactTracker | None = None if how.rest else self._tracker(None)
+        ready = self._tracker(None)  # also with a rest: what it refuses, it refuses now
+        self.tracker: ContactTracker | None = None if how.rest else ready
 
     @property
     def learning(self) -> bool:

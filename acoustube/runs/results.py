@@ -23,7 +23,10 @@ if TYPE_CHECKING:  # the solvers of sound, which a press alone does not need
     from acoustube.signals import Ranging
 
 EVEN_POINTS = 401
-"""Number of evenly spaced points of a profile along the tube, in addition to the mesh's rings."""
+"""Number of evenly spaced points of a profile along the tube.
+
+The profile of the whole tube has the positions of the lumen's rings in addition.
+"""
 MEASURED_PART = 0.95
 """Fraction of the modelled length within which the deformed tube is measured.
 
@@ -325,7 +328,7 @@ def _spectral_echo(check: SpectralCheck | None) -> dict[str, Variable]:
     if check is None:
         return {}
     place = "distance of the highest echo, spectral solver"
-    height = "height of that echo, relative to the send pulse"
+    height = "height of the highest echo by the spectral solver, relative to the send pulse"
     return {
         "spectral_distance": variable("source_end", check.distance, "m", place),
         "spectral_amplitude": variable("source_end", check.amplitude, "1", height),

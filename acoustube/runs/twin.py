@@ -69,7 +69,8 @@ class PressedState:
     source : str
         File of the recording.
     place : float
-        Distance of the press in m as stated, else as estimated from its echo; nan without both.
+        Distance of the press in m: as stated, or else as estimated from its echo; nan if neither
+        exists.
     press : Press
         Tool, depth from the echo, and stated depth and force.
     reason : str

@@ -135,7 +135,10 @@ def _different(tools: list[Tool]) -> tuple[NDArray[np.int64], list[int]]:
     """Return the index of each coefficient among the distinct ones, and where these first occur."""
     m = min(len(tools[0].modes), MOST_MODES)
     if tools[0].modes[0] != "00":
-        raise ConfigError(f"the first mode of the library is {tools[0].modes[0]}, not 00")
+        raise ConfigError(
+            f"the first mode of the library is {tools[0].modes[0]}, not the plane mode, 00; make "
+            "it anew"
+        )
     flat = np.concatenate([tool.s[:, :, :, :m, :, :m].reshape(-1, (2 * m) ** 2) for tool in tools])
     equal = EQUAL * float(np.abs(flat).max())
     number, kept = np.zeros(flat.shape[1], int), list[int]()
@@ -154,7 +157,8 @@ def _at_frequencies(tool: Tool, kept: list[int], frequency: Complex, stretch: fl
     """Return a tool's distinct coefficients over depth at frequencies in Hz, (n_different, n, n_f).
 
     The first of the n depths is 0, the untouched tube; the others are those of the tool. `kept`
-    holds the places of the distinct coefficients in the flattened matrix.
+    holds the places of the distinct coefficients in the flattened matrix. `stretch` is the ratio of
+    the speed of sound in the tube to that of the library.
     """
     m = min(len(tool.modes), MOST_MODES)
     s = tool.s[:, :, :, :m, :, :m]

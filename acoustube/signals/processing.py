@@ -35,7 +35,9 @@ TEMPLATE = Number(1, CYCLES.high, "cycles")
 
 @dataclass(frozen=True, kw_only=True)
 class Processing:
-    """Settings from recorded cycles to distances; defaults of the sleeve paper (section II-B).
+    """Settings of the processing of recorded cycles to distances.
+
+    The defaults are those of the sleeve paper (section II-B).
 
     Attributes
     ----------

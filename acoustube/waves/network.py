@@ -196,9 +196,12 @@ def transfer(
     ------
     ValueError
         If presses overlap each other, an end or a probe, were computed for another air or bore, or
-        have different modes; or if a frequency lies outside their band.
+        have different modes; if a frequency lies outside their band; or if a reflection coefficient
+        has another shape than () and (n,).
     """
     frequency = np.atleast_1d(frequency)
+    checks.check_reflection("source_reflection", source_reflection, len(frequency))
+    checks.check_reflection("far_reflection", far_reflection, len(frequency))
     checks.check_tube(presses, air, radius)
     presses = sorted(presses, key=lambda press: press.position)
     checks.check_places(presses, length, probes)

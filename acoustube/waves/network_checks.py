@@ -53,6 +53,15 @@ def check_tube(presses: Sequence[PlacedScatterer], air: Air, radius: float) -> N
                 )
 
 
+def check_reflection(name: str, value: Any, n: int) -> None:
+    """Validate that a reflection coefficient is one number, or has one of each of n frequencies."""
+    if np.shape(value) not in ((), (n,)):
+        raise ValueError(
+            f"{name} has shape {np.shape(value)}; give one number, or one for each of the {n} "
+            "frequencies"
+        )
+
+
 def in_band(
     presses: Sequence[PlacedScatterer], frequency: Array, spectrum: Complex, *, what: str
 ) -> NDArray[np.bool_]:
@@ -114,7 +123,7 @@ def check_interpolation(given: Array, cut_ons: Array, frequency: NDArray[Any]) -
         )
     step = np.diff(given)
     if np.ptp(step) > 1e-6 * step[0]:
-        raise ValueError("the frequencies of a press must be evenly spaced; compute them so")
+        raise ValueError("the scattering of a press must be given at evenly spaced frequencies")
     within = np.any((cut_ons > low) & (cut_ons < high))
     if within and step[0] > COARSEST_STEP:
         raise ValueError(

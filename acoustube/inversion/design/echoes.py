@@ -167,8 +167,6 @@ class Contacts:
             self, place=Reals(0, 1e6, "m", ndim=1), force=Reals(1e-9, 1e9, "N", ndim=1),
             tool=Reals(0, 1e6, ndim=1, kinds="iu"), lightest=force, strongest=force, length=LENGTH,
         )  # fmt: skip
-        for name in ("place", "force", "tool"):
-            object.__setattr__(self, name, np.asarray(getattr(self, name)))
         check_alike(place=self.place, force=self.force, tool=self.tool)
 
     def at(self, chosen: NDArray[np.bool_]) -> Contacts:

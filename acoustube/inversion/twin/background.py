@@ -32,7 +32,8 @@ DENSITIES = np.geomspace(1e-8, 1e-2, 25)
 RING_SHARE = 1.5e-3
 """Time in s over which the level of the ring-down is fitted."""
 DETECTED = 6.0
-"""Level of the far end's echo in standard deviations above which the echo is detected."""
+"""Level of the far end's echo above which it is detected, in standard deviations of noise and
+clutter."""
 AROUND_END = 0.04
 """Half the width in m of the part of the tube that belongs to the far end."""
 AROUND, FINEST = 0.5, 2e-3

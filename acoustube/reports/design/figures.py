@@ -1,4 +1,4 @@
-"""Figures of a design: the front of its candidates, and maps of expected errors."""
+"""Figures of a design: the Pareto front of its candidates, and maps of expected errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Page of a design: front, recommended sensors, their maps, limits and robustness."""
+"""Page of a design: Pareto front, recommended sensors, their maps, limits and robustness."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ def read_sweep(folder: Path) -> Content:
     -------
     Content
         A group for each tool, position and combination of other settings. If there are more than
-        `MOST_CASES` cases, those at evenly spaced positions.
+        `MOST_CASES` cases, only those at some of the positions: every second or third, say.
 
     Raises
     ------

@@ -179,7 +179,7 @@ def tool(press: Indenter, tube_diameter: float) -> Tool:
 
 
 def _rod(radius: float, yaw: float, top: float, reach: float) -> list[Array]:
-    """Return the sheets of a lying cylinder: its side, its end, and where it is cut at x = 0."""
+    """Return the sheets of a lying cylinder: side, flat top, cut at x = 0, and end."""
     half = np.arccos(1 - top / radius)
     turn = np.linspace(-half, half, 2 * TOOL_RESOLUTION)
     s = _closed(np.stack([radius * np.sin(turn), radius * (1 - np.cos(turn))], axis=-1))
@@ -213,14 +213,14 @@ def _punch_side(press: Indenter, top: float) -> tuple[Array, Array]:
 
 
 def _turned(radius: Array, y: Array, x: float) -> list[Array]:
-    """Return the sheets of a body of revolution: its side, its top, and where it is cut at x = 0.
+    """Return the sheets of the half x >= 0 of a body of revolution: side, cut at x = 0, and top.
 
     Parameters
     ----------
     radius, y : array of shape (n,)
-        Along its side, in m.
+        Radius and height in m along the side, from the lowest point up.
     x : float
-        Position of its axis in m.
+        Position of the vertical axis in m.
     """
     # The points of each circle have x >= 0; a circle without such points becomes a single point.
     share = np.divide(-x, radius, out=np.full_like(radius, -np.sign(x)), where=radius > 0)

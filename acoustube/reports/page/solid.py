@@ -108,7 +108,10 @@ class Solid:
         return Shape(np.concatenate(points), faces, *outlines)
 
     def area(self, displacement: Array, z: Array) -> Array:
-        """Return the lumen's cross-section in m2 at positions z in m, the press at zero."""
+        """Return the lumen's cross-section in m2 at positions z in m, the press at zero.
+
+        `displacement` is that of the nodes in m, (n_nodes, 3).
+        """
         sampling, triangles = self.lumen
         at = np.abs(z) if self.halved[1] else z
         position = sampling @ (self.nodes + displacement)

@@ -250,10 +250,10 @@ def trained_network(table: xr.Dataset, scale: Scale, report: Reporter) -> Model:
 def localisation_rows(tables: Tables) -> list[Row]:
     """Return rows of Table I, of detection, and of the smallest reliable depths."""
     why = (
-        "Ours are of two kinds: small ones, and those of several centimetres where trapped sound "
-        "is the highest peak. The sleeve paper's complete closures scatter by 3.6 cm about a line "
-        "(Fig. 3), far more than ours: its errors are more of its tube and bench than of the "
-        "presses."
+        "Our errors are of two kinds: small ones, and those of several centimetres where trapped "
+        "sound is the highest peak. In the sleeve paper even complete closures scatter by 3.6 cm "
+        "about a line (Fig. 3), far more than ours do: most of its error comes from its tube and "
+        "bench, not from the presses."
     )
     rows = ranged.distance_rows(tables, (5.23, 13.1, 9.31), why)
     rows += [

@@ -113,7 +113,10 @@ class Row:
 
     @property
     def change(self) -> float:
-        """Computed number minus that of the coarser level, relative to the former; nan if none."""
+        """Computed number minus that of the coarser level, relative to the former.
+
+        It is nan without a coarser level.
+        """
         return -_relative(float("nan") if self.coarser is None else self.coarser, self.ours)
 
 

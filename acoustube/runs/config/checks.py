@@ -260,10 +260,10 @@ def _record_ms(tube: TubeSettings, waves: WaveSettings) -> float:
 
 
 def _round_up(value: float) -> float:
-    """Return the value rounded up to two decimals, so that the advice itself is allowed."""
+    """Return a lower limit rounded up to two decimals, so that it is allowed as displayed."""
     return math.ceil(round(value * 100, 6)) / 100
 
 
 def _round_down(value: float) -> float:
-    """Return the value rounded down to two decimals, so that the advice itself is allowed."""
+    """Return an upper limit rounded down to two decimals, so that it is allowed as displayed."""
     return math.floor(round(value * 100, 6)) / 100

@@ -17,7 +17,7 @@ from acoustube.runs.config.goal import LEAST_RATE, DesignGoal
 from acoustube.runs.design.tubes import TubeSpec
 
 LEAST_PRODUCT = 3.0
-"""Least product of duration and bandwidth of a chirp; a shorter one hardly differs from a burst."""
+"""Least product of duration and bandwidth of a chirp; with a smaller one it is almost a burst."""
 
 
 @dataclass(frozen=True, kw_only=True)

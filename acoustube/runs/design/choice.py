@@ -23,6 +23,7 @@ from acoustube.runs.design.search import (
     modulus_of,
 )
 from acoustube.runs.design.tubes import REFERENCE_SHORE_A, Compute, TubeSpec
+from acoustube.waves.scattering import Complex
 
 PAPER = TubeSpec(7.9, 1.6, 35.0)
 """Tube of the sleeve paper."""
@@ -238,11 +239,14 @@ def robustness_of(
 
 
 def warmed(tube: PressedTube, temperature: float) -> PressedTube:
-    """Return a tube in air of a temperature in degC; its reflection is a function of f / c."""
+    """Return a tube in air of a temperature in degC; its scattering is a function of f / c."""
     speed = air_at(temperature).sound_speed
     at = tube.frequency * tube.sound_speed / speed
-    parts = [
-        np.array([np.interp(at, tube.frequency, row) for row in part])
-        for part in (tube.reflection.real, tube.reflection.imag)
-    ]
-    return dataclasses.replace(tube, reflection=parts[0] + 1j * parts[1], sound_speed=speed)
+
+    def moved(part: Complex) -> Complex:
+        return np.array([np.interp(at, tube.frequency, row) for row in part])
+
+    through = None if tube.transmission is None else moved(tube.transmission)
+    return dataclasses.replace(
+        tube, reflection=moved(tube.reflection), transmission=through, sound_speed=speed
+    )

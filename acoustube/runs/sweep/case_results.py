@@ -92,7 +92,10 @@ def _record_and_locate(
 
 
 def _gathered(cases: Mapping[str, Config], pressed: Pressed, rows: Mapping[str, Row]) -> xr.Dataset:
-    """Return the results of cases with the same press as a dataset along ``press``."""
+    """Return the results of cases that share a press as a dataset.
+
+    Its dimension ``press`` has one element for each case, with the case's name as coordinate.
+    """
     variables = _labels(list(cases.values())) | _measured(pressed, len(cases))
     pressures = [_resampled(recordings) for recordings, _ in rows.values()]
     longest = max(pressure.shape[1] for pressure in pressures)

@@ -282,8 +282,8 @@ def rangefinder_in(document: Mapping[str, Any], path: Path) -> Rangefinder:
     Parameters
     ----------
     document : mapping
-        Content of the file; other entries of :data:`acoustube.runs.sensor_file.OF_OTHERS` are
-        ignored.
+        Content of the file; the entries :data:`acoustube.runs.sensor_file.OF_OTHERS`, which do not
+        describe the rangefinder, are ignored.
     path : Path
         The file, for messages.
 

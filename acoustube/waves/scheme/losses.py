@@ -355,7 +355,10 @@ def advance_relaxations(
 
 
 def bulk_absorption(losses: Losses, memory: RelaxationState, change: jax.Array) -> jax.Array:
-    """Return the bulk absorption's term in Pa, added to the pressure whose Laplacian is taken."""
+    """Return the term in Pa that bulk absorption adds to the argument of the Laplacian.
+
+    `change` is that of the pressure in the last step, in Pa.
+    """
     lagging = sum(
         (weight * one for weight, one in zip(losses.bulk, memory.relaxed, strict=True)),
         start=jnp.zeros_like(change),

@@ -82,7 +82,9 @@ def adapted(
     *,
     lossy: bool,
 ) -> Adapted:
-    """Raise the degree and split elements until both errors at test shifts are within tolerance.
+    """Raise the degree and split elements until S is accurate at test shifts, or a limit is met.
+
+    The limits are :data:`MAX_DEGREE` and :data:`MAX_ADAPTATIONS`.
 
     Parameters
     ----------
@@ -91,7 +93,8 @@ def adapted(
     basis : Basis
         Initial basis.
     wanted : float
-        Tolerance of the error by degree, and of that by all elements.
+        Tolerance of the largest change of S by a higher degree across the tube, and of the sum
+        over all elements of the change of S by a higher degree along each.
     known : Adapted or None
         Previous result, whose responses include all shifts of the basis.
 

@@ -46,7 +46,8 @@ frequencies in addition to those that this requires."""
 LOSSY_BLOCKS = 3
 """Number of blocks of the Krylov space at each sampled frequency."""
 CHECKS = 12
-"""Largest number of frequencies at which the error is estimated."""
+"""Largest number of frequencies at which the error is computed; it is interpolated to the others.
+"""
 MOVING_SAMPLES = 1e-3
 """Factor that multiplies `SAMPLE_TOLERANCE` if derivatives are required, because their error is of
 first order in the error of the fields."""

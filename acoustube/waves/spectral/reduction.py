@@ -216,9 +216,10 @@ class LossyBand(NamedTuple):
 
     @property
     def factors(self) -> Complex:
-        """Factors in the system matrix of K, M and the wall's matrices, (n, 2 + 2 n_parts).
+        """Factors of K, M and the wall's matrices in the system matrix, (n, 2 + 2 n_parts).
 
-        The wall's matrices are all of `stiffness`, then all of `mass`.
+        K and M are those of the lumen without losses, n is the number of frequencies. The wall's
+        matrices are in the order of :class:`LossyModel`: all of `stiffness`, then all of `mass`.
         """
         square = self.wavenumber[:, None] ** 2
         one = np.ones_like(square)
