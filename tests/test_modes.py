@@ -7,6 +7,7 @@ import pytest
 from wave_lumens import BORE, straight_tube
 
 from acoustube.air import Air, air_at, sound_speed
+from acoustube.runs.sound import band_of
 from acoustube.waves import cut_cells, section_cut_ons
 from acoustube.waves.modes import (
     attenuation,
@@ -16,6 +17,7 @@ from acoustube.waves.modes import (
     cut_ons_in_band,
     modes_below,
 )
+from acoustube.waves.network_checks import OUT_OF_BAND_ENERGY
 from acoustube.waves.scheme.pulse import Pulse, SampledPulse
 
 RADIUS = 3.95e-3
@@ -160,3 +162,13 @@ def test_sampled_pulse_is_the_pulse_that_was_sampled():
 def test_samples_that_are_no_pulse_are_refused(words, part):
     with pytest.raises(ValueError, match=part):
         SampledPulse(**{"pressure": np.zeros(10), "rate": 1e6} | words)
+
+
+@pytest.mark.parametrize("cycles", [1, 2, 3, 5, 11, 100])
+def test_computed_band_of_a_pulse_holds_the_energy_that_joining_presses_requires(cycles):
+    pulse = Pulse(frequency=10e3, cycles=cycles)
+    frequency = np.fft.rfftfreq(2**17, 1e-6)
+    energy = np.abs(np.fft.rfft(pulse(1e-6 * np.arange(2**17)))) ** 2
+    low, high = band_of(pulse)
+    inside = (frequency >= low) & (frequency <= high)
+    assert energy[~inside].sum() < 0.8 * OUT_OF_BAND_ENERGY * energy.sum()

@@ -18,6 +18,8 @@ from acoustube.waves import (
     section_cut_ons,
 )
 from acoustube.waves.modes import bessel_zero
+from acoustube.waves.modes.grid_modes import duct_modes, labels, mode_numbers
+from acoustube.waves.scheme.problem import prepare
 
 AIR = air_at(20.0)
 CELLS = cut_cells(straight_tube(0.08, sections=256), 2 * BORE / 12, half=True)
@@ -107,6 +109,7 @@ def test_mode_below_its_cut_on_decays_exponentially():
     [
         ({"source_mode": "11c", "source_end": "release"}, 'needs source_end = "absorbing"'),
         ({"source_mode": "11s", "source_end": "absorbing"}, 'mode = "11s" is not one of 00, 11c'),
+        ({"source_end": "rigid"}, "source_end = rigid has no source"),
         ({"probes": (ModalProbe(0.02, "99"),)}, 'mode = "99" is not one of'),
         ({"probes": (PointProbe(0.02, 0.0, 5e-3),)}, "not in the air"),
     ],
@@ -123,3 +126,36 @@ def test_probe_in_a_closed_layer_is_refused():
     cells = cut_cells(trimesh.util.concatenate(parts), BORE / 4)
     with pytest.raises(ConfigError, match=r"the lumen is closed at probe = 0.035 m; move it"):
         propagate(cells, AIR, PULSE, duration=1e-3, probes=(0.02, 0.035))
+
+
+@pytest.mark.parametrize("half", [True, False])
+def test_modes_of_half_and_whole_tubes_have_the_signs_of_bessel_functions(half):
+    """J_m cos(m phi) and J_m sin(m phi), phi from -y towards +x, up to (2,2), as those of bends."""
+    cells = cut_cells(straight_tube(0.004), 2 * BORE / 24, half=half)
+    setup = prepare(cells, AIR, probes=(), far_end="rigid", time_step=1e-7)
+    highest = 6.9 * AIR.sound_speed / (2 * np.pi * BORE)
+    modes = duct_modes(setup.scheme, cells.volume_fraction, 4, highest, whole=not half)
+    names = labels(modes, BORE, AIR.sound_speed)
+    assert {"01", "12c", "22c", "41c"} < set(names)
+    x, y = (cells.centres(axis) for axis in (0, 1))
+    r, phi = np.hypot(*np.meshgrid(x, y, indexing="ij")), np.arctan2(x[:, None], -y)
+    for name, weights in zip(names, modes.weights, strict=True):
+        m = mode_numbers(name)[0]
+        around = np.sin(m * phi) if name.endswith("s") else np.cos(m * phi)
+        exact = jv(m, bessel_zero(*mode_numbers(name)) * r / BORE) * around
+        size = np.sqrt(np.mean(exact[cells.volume_fraction[:, :, 4] > 0] ** 2))
+        assert np.sum(weights * exact) / size > 0.9
+
+
+def test_pairs_of_modes_are_separated_where_triangles_are_not_mirrored():
+    """(1,1) of a whole tube points to -y and to +x, also if its 64 facets are turned."""
+    tube = straight_tube(0.004, sections=64)
+    tube.apply_transform(trimesh.transformations.rotation_matrix(0.4, [0, 0, 1]))
+    cells = cut_cells(tube, 2 * BORE / 16)
+    setup = prepare(cells, AIR, probes=(), far_end="rigid", time_step=1e-7)
+    modes = duct_modes(setup.scheme, cells.volume_fraction, 4, 30e3, whole=True)
+    pair = dict(zip(labels(modes, BORE, AIR.sound_speed), modes.weights, strict=True))
+    x, y = cells.centres(0)[:, None], cells.centres(1)
+    for name, direction in (("11c", (0.0, -1.0)), ("11s", (1.0, 0.0))):
+        found = np.array([np.sum(pair[name] * axis) for axis in (x, y)])
+        assert found / np.hypot(*found) == pytest.approx(direction, abs=1e-4)

@@ -1,5 +1,6 @@
 """Scattering by the spectral solver, against an independent solution and closed forms."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -248,6 +249,17 @@ def test_what_cannot_be_solved_is_refused_in_one_sentence(change, words):
     arguments = {"wall": wall("A"), "air": AIR, "frequency": np.array([1e4, 2e4])} | change
     with pytest.raises(ConfigError, match=words):
         spectral.scatter_spectral(**arguments)
+
+
+def test_ends_that_are_not_as_stated_are_refused():
+    shorter = replace(wall("A"), ends=(-6e-3, 6e-3))
+    wider = replace(wall("A"), radius=1.01 * RADIUS)
+    for one in (shorter, wider):
+        error = refused(lambda one=one: scattered(one, np.array([2e4])), setting="radius")
+        assert error.value == one.radius
+    unequal = replace(wall("A"), ends=(-6e-3, 12e-3), circular=False)
+    with pytest.raises(ConfigError, match="ends differ in section"):
+        scattered(unequal, np.array([2e4]))
 
 
 def test_odd_number_of_points_of_a_symmetric_wall_is_refused():

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from duct_losses import classical_absorption, kirchhoff, rectangular
-from test_spectral import AIR, KIRCHHOFF, RADIUS, straight
+from test_spectral import AIR, KIRCHHOFF, RADIUS, straight, wall
 
 from acoustube.air import Air
 from acoustube.waves import spectral
@@ -154,6 +154,35 @@ def test_gap_much_lower_than_the_points_are_apart_has_its_own_height():
     x = points.contours.x[0]
     inner = np.abs(x) < 0.8 * a
     np.testing.assert_allclose(width[inner], 2 * b * np.sqrt(1 - (x[inner] / a) ** 2), rtol=1e-2)
+
+
+def test_gap_between_the_higher_sides_of_a_section_is_measured():
+    """As under a small tool: a gap of 20 um over 3 mm, beside channels 2 mm high."""
+
+    def lines(z, t):
+        x, side = 5e-3 * np.sin(t), -np.cos(t)
+        height = 20e-6 + 2e-3 * np.clip((np.abs(x) - 1.5e-3) / 1.5e-3, 0, 1) ** 2
+        return x, 0.5 * height * side / np.sqrt(side**2 + 0.02), 0 * z, 0 * z
+
+    dented = spectral.analytic_wall(lines, ends=(0.0, 1e-3), radius=RADIUS, n_points=240)
+    dented = replace(dented, sealing_gap=25e-6)
+    points = boundary.wall_points(dented, axial_rule(np.array([0.0, 1e-3]), 1, np.zeros(0)), 6)
+    gaps = layers.gaps_of(points, 17e-6)
+    inner = np.abs(points.contours.x[0]) < 1.2e-3
+    np.testing.assert_allclose(gaps.width[:, inner], 20e-6, rtol=0.03)
+    assert np.all(gaps.sealed[:, inner] > 0.99)
+    assert np.all(layers.gaps_of(points, 1e-7).width == 2 * points.boxes.b[:, None])
+
+
+def test_modes_of_equal_cut_on_are_not_mixed_without_a_mirror_plane():
+    """At 20 kHz (1,1) is evanescent, at 26 kHz its pair propagates."""
+    frequency = np.array([20e3, 26e3])
+    whole, by_halves = (
+        spectral.scatter_spectral(replace(wall("A"), symmetric=symmetric), AIR, frequency)
+        for symmetric in (False, True)
+    )
+    assert whole.modes == by_halves.modes == ("00", "11c", "11s")
+    np.testing.assert_allclose(whole.s, by_halves.s, atol=1e-8)
 
 
 def test_one_frequency_has_the_losses_of_a_band():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from acoustube.air import air_at
-from acoustube.base.errors import SimulationError
+from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.modes.yielding_wall import (
     YieldingWall,
@@ -119,3 +119,11 @@ def test_wall_that_is_too_thick_for_the_frequency_is_told():
     thick = YieldingWall(thickness=60e-3, shear_modulus=1e5, loss_factor=0.5)
     with pytest.raises(SimulationError, match="not found at 100000 Hz"):
         yielding_wavenumber([10e3, 100e3], 20e-3, AIR, thick)
+
+
+def test_complex_frequencies_are_refused():
+    """The wall's inertia and modulus are those of a real frequency."""
+    with pytest.raises(ConfigError, match="give real numbers"):
+        yielding_wavenumber(np.array([20e3 - 100j]), RADIUS, AIR, WALL)
+    with pytest.raises(ConfigError, match="give real numbers"):
+        wall_compliance(np.array([20e3 - 100j]), np.array([366.0]), RADIUS, WALL)

@@ -30,7 +30,8 @@ The profile of the whole tube has the positions of the lumen's rings in addition
 MEASURED_PART = 0.95
 """Fraction of the modelled length within which the deformed tube is measured.
 
-The end of a tube that tilts off the floor is slanted.
+The end of a tube that tilts off the floor is slanted; where it is within this part, profiles are
+nan.
 """
 XYZ = variable("xyz", ["x", "y", "z"], "1", "across, up, along the tube")
 DEPTH = "indentation depth from first contact"
@@ -347,6 +348,7 @@ def _error_budget(budget: Budget | SpectralBudget) -> dict[str, Variable]:
             "dB",
             "reflection of an absorbing end for a mode 1 % above cut-on",
         ),
+        "plane_reflection": ("dB", "largest reflection of an absorbing end for the plane wave"),
         "spectral_error": ("1", SPECTRAL_ERROR),
         "ringing": ("dB", "highest pressure at the end of the recording, of the highest of all"),
     }

@@ -43,8 +43,8 @@ BAND_EDGE = -20.0
 
 BAND_LEVEL = -70.0
 """Level in dB relative to the pulse's spectral peak at which the computed band ends."""
-LOWEST_CARRIERS = 0.1
-"""Lowest computed frequency relative to the carrier, for short pulses whose band reaches zero."""
+LOWEST_CARRIERS = 0.05
+"""Lowest computed frequency over the carrier: 6e-5 of the energy of one cycle lies below it."""
 FREQUENCY_STEP = 100.0
 """Frequency step in Hz of a scattering matrix, for impulse responses of up to 10 ms."""
 LOSSLESS_REFINEMENT = 4

@@ -160,8 +160,8 @@ def bend(
 
     Notes
     -----
-    The centre of curvature lies towards -y. The modes' signs are those of a lumen symmetric about
-    x = 0, which is computed by halves.
+    The centre of curvature lies towards -y. The modes' signs are those of all scattering matrices:
+    of J_m times cos(m phi) or sin(m phi), with phi from -y towards +x.
     """
     _check_bend(radius, bend_radius, angle)
     _check_length(angle, bend_radius)

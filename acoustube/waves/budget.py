@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import asin, log10, pi, sin, sqrt
+from math import asin, ceil, log10, pi, sin, sqrt
 
 import numpy as np
 
@@ -19,7 +19,8 @@ from acoustube.waves.scheme.pml import REFLECTION
 from acoustube.waves.spectral.result import SpectralScattering
 
 PLANE_WAVE_REFLECTION = -60.0
-"""Upper bound in dB of the plane wave's reflection by an absorbing end; without losses -86 dB."""
+"""Upper bound in dB of the plane wave's reflection by an absorbing end, where losses that fade out
+do not reflect more; without losses -86 dB."""
 LOSSY_REFLECTION = -14.0
 """Measured reflection in dB of a mode 1 % above cut-on where losses fade out before the absorber.
 
@@ -48,6 +49,8 @@ class Budget:
     absorption : float or None
         Reflection coefficient of the absorbing layer for a mode 1 % above cut-on, in dB; it is
         smaller for modes farther above their cut-on. None if no end absorbs by such a layer.
+    plane_reflection : float or None
+        Upper bound of the reflection coefficient of the plane wave there, in dB, or None.
     ringing : float
         Highest pressure in the last twentieth of the recording, in dB relative to the highest of
         the whole recording.
@@ -58,14 +61,15 @@ class Budget:
     section_error: float
     cut_on_error: float
     absorption: float | None
+    plane_reflection: float | None
     ringing: float
 
     def in_words(self, path: float) -> str:
         """Return the error budget as a sentence, for an echo's path in m, there and back."""
         absorbing = (
-            f"an absorbing end reflects the plane wave at under {PLANE_WAVE_REFLECTION:.0f} dB and "
-            f"a mode 1 % above its cut-on at {self.absorption:.0f} dB; "
-            if self.absorption is not None
+            f"an absorbing end reflects the plane wave at under {ceil(self.plane_reflection)} dB "
+            f"and a mode 1 % above its cut-on at {self.absorption:.0f} dB; "
+            if self.absorption is not None and self.plane_reflection is not None
             else ""
         )
         return (
@@ -181,6 +185,11 @@ def error_budget(
         else LOSSY_REFLECTION
         if lossy
         else absorber_reflection(),
+        plane_reflection=None
+        if time_step is None
+        else max(PLANE_WAVE_REFLECTION, fading_reflection(air, radius, frequency))
+        if lossy
+        else PLANE_WAVE_REFLECTION,
         ringing=_ringing(np.asarray(pressure)),
     )
 
@@ -200,6 +209,18 @@ def absorber_reflection() -> float:
     For a mode with axial wavenumber kz, the reflection in dB is kz / k times the plane wave's.
     """
     return 20 * log10(REFLECTION) * sqrt(1 - CUT_ON_RATIO**-2)
+
+
+def fading_reflection(air: Air, radius: float, frequency: float) -> float:
+    """Return an upper bound of the plane wave's reflection where losses fade out, in dB.
+
+    It is that of an abrupt end of the losses: to first order in the boundary layers, the losses
+    change the wave impedance by the factor 1 + (1 - (gamma - 1) / sqrt(Pr)) D / R, with
+    D = sqrt(nu / (j omega)), and half of the change is reflected.
+    """
+    layer = sqrt(air.viscous_diffusivity / (2 * pi * frequency)) / radius
+    share = abs(1 - (air.heat_capacity_ratio - 1) / sqrt(air.prandtl))
+    return 20 * log10(max(share * layer / 2, REFLECTION))
 
 
 def delay_bias(frequency: float, spacing: float, time_step: float, sound_speed: float) -> float:

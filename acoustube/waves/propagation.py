@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from acoustube.air import Air
 from acoustube.base.checks import DURATION, LENGTH, PLACE, Either, Optional, Reals, Several, checked
+from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.waves.grid.cells import CutCells
 from acoustube.waves.modes.probes import (
@@ -138,7 +139,8 @@ def propagate(
         Mode launched by the absorbing end, as ``11c``; see `ModalProbe`.
     source_end, far_end, absorber_thickness, time_step, lossy_band
         See `prepare`. With the release end the pressure at z = 0 is the pulse, afterwards 0; with
-        the absorbing end the plane wave launched at z = 0 has the pulse's pressure.
+        the absorbing end the plane wave launched at z = 0 has the pulse's pressure. A rigid end
+        has no source.
     progress : callable, optional
         Called with the finished fraction after each chunk of 250 steps.
 
@@ -152,8 +154,8 @@ def propagate(
     SimulationError
         If the pressure is no longer finite.
     ValueError
-        If the pulse is longer than the run, or `source_mode` is not ``00`` although the source end
-        does not absorb; see also `prepare` and `with_probes`.
+        If the pulse is longer than the run, the source end is rigid, or `source_mode` is not ``00``
+        although the source end does not absorb; see also `prepare` and `with_probes`.
 
     Notes
     -----
@@ -161,6 +163,11 @@ def propagate(
     mode: every other discrete mode is orthogonal to it.
     """
     check_pulse(pulse, duration)
+    if source_end == "rigid":
+        raise ConfigError(
+            "has no source", setting="source_end", value=source_end,
+            allowed=("release", "absorbing"), advice="use one of these",
+        )  # fmt: skip
     if source_mode != "00" and source_end != "absorbing":
         raise ValueError(
             f'source_mode = "{source_mode}" needs source_end = "absorbing", not "{source_end}"'

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
@@ -30,9 +31,6 @@ from acoustube.waves.modes.round_duct import Mode, axial_wavenumber, cut_on_freq
 from acoustube.waves.scheme.losses import Losses
 from acoustube.waves.scheme.operator import Operator
 from acoustube.waves.scheme.problem import Scheme
-
-MIRROR_PERTURBATION = 1e-6
-"""Relative weight of the mirror operator that separates degenerate modes by symmetry."""
 
 Complex = NDArray[np.complexfloating[Any, Any]]
 
@@ -49,7 +47,9 @@ class DuctModes:
     cut_ons : ndarray
         Cut-on frequencies on the grid, its time steps included, in Hz, (n_modes,).
     shapes : ndarray
-        Pressures with a mean square of one over the section, (n_modes, nx, ny).
+        Pressures with a mean square of one over the section, (n_modes, nx, ny). In a round bore
+        they have the signs of J_m times cos(m phi), or times sin(m phi) if antisymmetric, with phi
+        from -y towards +x, for a half and for a whole tube.
     weights : ndarray
         Projection weights, (n_modes, nx, ny): a modal amplitude is the sum of the products of its
         weights with the pressures of a layer.
@@ -98,34 +98,25 @@ def duct_modes(
     filled = volume[:, :, layer]
     operator = scheme.operator
     mass = filled[filled > 0]
-    root = np.sqrt(mass)
-    matrix = _across(operator, layer, filled > 0) / root[:, None] / root
-    parity = np.full(len(mass), -1.0 if odd else 1.0)
-    if whole:
-        # Degenerate pairs mix arbitrarily; a small multiple of the mirror operator separates them.
-        number = np.cumsum(filled > 0).reshape(filled.shape) - 1
-        image, here = number[::-1][filled > 0], np.arange(len(mass))
-        trace = MIRROR_PERTURBATION * (2 * np.pi * highest) ** 2
-        matrix[here, image] += trace
-        matrix[image, here] += trace
-    squares, vectors = eigh(matrix)
-    if whole:
-        parity = np.sign(np.sum(vectors * vectors[image], axis=0))
-        squares = squares - 2 * trace * parity
+    stiffness = _across(operator, layer, filled > 0)
+    # By symmetry, which separates degenerate pairs. The triangles of an end may differ slightly
+    # from their mirror images, and would turn a pair by any angle.
+    sides = (False, True) if whole else (odd,)
+    found = [
+        _eigenmodes(stiffness, mass, _symmetric(filled, side) if whole else sp.identity(mass.size))
+        for side in sides
+    ]
+    squares, vectors = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    odd_ones = np.repeat(sides, [len(part) for part, _ in found])
     order = np.argsort(squares)
     order = order[squares[order] < (2 * np.pi * highest) ** 2]
-    squares, parity = squares[order], parity[order]
-    vectors = (vectors[:, order] / root[:, None]).T * np.sqrt(mass.sum())
+    squares, odd_ones, vectors = squares[order], odd_ones[order], vectors[order]
     # The plane mode's eigenvalue is zero except for rounding.
     squares = np.where(np.abs(squares) < 1e-6 * (2 * np.pi * highest) ** 2, 0.0, squares)
     shapes = np.zeros((len(vectors), *filled.shape))
-    # The sign is arbitrary; the first cell above half the peak magnitude is made positive.
-    first = np.argmax(np.abs(vectors) > 0.5 * np.abs(vectors).max(axis=1, keepdims=True), axis=1)
-    vectors = vectors * np.sign(vectors[np.arange(len(vectors)), first])[:, None]
+    vectors = vectors * _signs(vectors, filled > 0, whole)[:, None]
     shapes[:, filled > 0] = vectors
-    found: dict[str, Array] = {}
-    if scheme.losses is not None:
-        found = _modal_losses(scheme.losses, layer, filled, vectors)
+    losses = scheme.losses
     dt = float(np.sqrt(scheme.step_squared))
     half_turns = np.arcsin(np.sqrt(np.maximum(squares, 0.0)) * dt / 2)
     return DuctModes(
@@ -133,15 +124,53 @@ def duct_modes(
         cut_ons=half_turns / (np.pi * dt),
         shapes=shapes,
         weights=shapes * filled / mass.sum(),
-        odd=parity < 0,
-        losses=found,
+        odd=odd_ones,
+        losses={} if losses is None else _modal_losses(losses, layer, filled, vectors),
     )
 
 
-def _across(operator: Operator, layer: int, inside: NDArray[np.bool_]) -> Array:
+def _symmetric(filled: Array, odd: bool) -> sp.csr_matrix:
+    """Return a basis of the pressures of one symmetry about x = 0, (n_cells, n).
+
+    A sliver without an open mirror image belongs to the bases of both symmetries.
+    """
+    inside = filled > 0
+    number = np.where(inside, np.cumsum(inside).reshape(inside.shape) - 1, -1)
+    here, image = np.arange(inside.sum()), number[::-1][inside]
+    first = here[(image < 0) | (here < image)]
+    columns, paired = np.arange(len(first)), image[first] >= 0
+    entries = np.concatenate([np.ones(len(first)), np.full(paired.sum(), -1.0 if odd else 1.0)])
+    rows = np.concatenate([first, image[first][paired]])
+    places = rows, np.concatenate([columns, columns[paired]])
+    return sp.csr_matrix((entries, places), (len(here), len(first)))
+
+
+def _eigenmodes(stiffness: sp.csr_matrix, mass: Array, basis: Any) -> tuple[Array, Array]:
+    """Return squared angular frequencies, and modes (n, n_cells) with a mean square of one."""
+    basis = basis @ sp.diags(1 / np.sqrt(basis.power(2).T @ mass))
+    squares, coefficients = eigh((basis.T @ stiffness @ basis).toarray())
+    return squares, (basis @ coefficients).T * np.sqrt(mass.sum())
+
+
+def _signs(vectors: Array, inside: NDArray[np.bool_], whole: bool) -> Array:
+    """Return the factors that give modes the signs of those of a round bore.
+
+    Of the cells beside the plane x = 0, at x > 0 and from the axis downwards, the first whose
+    pressure is above half of the highest is made positive. It lies in the first lobe of J_m.
+    """
+    x, y = np.nonzero(inside)
+    n_x, n_y = inside.shape
+    right = np.flatnonzero(x >= (n_x // 2 if whole else 0))
+    side = 2 * y[right] + 1 - n_y
+    found = vectors[:, right[np.lexsort((np.abs(side), side > 0, x[right]))]]
+    high = np.abs(found) > 0.5 * np.abs(found).max(axis=1, keepdims=True)
+    return np.asarray(np.sign(found[np.arange(len(found)), np.argmax(high, axis=1)]))
+
+
+def _across(operator: Operator, layer: int, inside: NDArray[np.bool_]) -> sp.csr_matrix:
     """Return the matrix of an operator across one layer, over its open cells."""
     faces = operator.area_x[:, :, layer], operator.area_y[:, :, layer]
-    return np.asarray(section_stiffness(*faces, inside).toarray())
+    return section_stiffness(*faces, inside)
 
 
 def _modal_losses(losses: Losses, layer: int, filled: Array, vectors: Array) -> dict[str, Array]:
@@ -154,7 +183,7 @@ def _modal_losses(losses: Losses, layer: int, filled: Array, vectors: Array) -> 
     along = np.asarray(losses.drag.area_z[:, :, layer + 1], float)[inside]
     return {
         "compliance": vectors**2 @ (mass * compliance) / mass.sum(),
-        "across": np.einsum("mi,ij,mj->m", vectors, across, vectors) / mass.sum(),
+        "across": np.sum(vectors.T * (across @ vectors.T), axis=0) / mass.sum(),
         "along": vectors**2 @ along / mass.sum(),
     }
 

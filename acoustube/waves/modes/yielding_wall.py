@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import iv, kv
 
 from acoustube.air import Air
-from acoustube.base.checks import LENGTH, WAVES, Instance, check_fields, checked
+from acoustube.base.checks import LENGTH, Instance, Reals, check_fields, checked
 from acoustube.base.errors import SimulationError
 from acoustube.base.rules import Number
 from acoustube.tube import shear_modulus_from_shore
@@ -25,6 +25,7 @@ from acoustube.waves.modes.round_duct import axial_wavenumber
 
 Complex = NDArray[np.complex128]
 
+FREQUENCIES = Reals(1e-6, 1e12, "Hz")
 MOST_STEPS, TOLERANCE = 50, 1e-10
 """Largest number of steps of the secant method, and largest residual of the squared wavenumber,
 relative to it. About the resonance of a wall it takes up to 20 steps, else 2 to 4."""
@@ -65,7 +66,7 @@ class YieldingWall:
         )  # fmt: skip
 
 
-@checked(frequency=WAVES, radius=LENGTH, wall=Instance((YieldingWall,)))
+@checked(frequency=FREQUENCIES, radius=LENGTH, wall=Instance((YieldingWall,)))
 def wall_compliance(
     frequency: ArrayLike, wavenumber: ArrayLike, radius: float, wall: YieldingWall
 ) -> Complex:
@@ -74,7 +75,7 @@ def wall_compliance(
     Parameters
     ----------
     frequency : array_like
-        In Hz, (n,).
+        In Hz, real, (n,).
     wavenumber : array_like
         Axial wavenumber of the pressure in 1/m, (n,).
     radius : float
@@ -89,7 +90,7 @@ def wall_compliance(
     Raises
     ------
     ConfigError
-        If a frequency or the radius is not positive and finite.
+        If a frequency or the radius is not real, positive and finite.
 
     Notes
     -----
@@ -150,7 +151,7 @@ def _tractions(
     )
 
 
-@checked(frequency=WAVES, radius=LENGTH, air=Instance((Air,)), wall=Instance((YieldingWall,)))
+@checked(frequency=FREQUENCIES, radius=LENGTH, air=Instance((Air,)), wall=Instance((YieldingWall,)))
 def yielding_wavenumber(
     frequency: ArrayLike, radius: float, air: Air, wall: YieldingWall, *, lossy: bool = True
 ) -> Complex:
@@ -175,7 +176,7 @@ def yielding_wavenumber(
     Raises
     ------
     ConfigError
-        If a frequency or the radius is not positive and finite.
+        If a frequency or the radius is not real, positive and finite.
     SimulationError
         If the wavenumber does not converge, as where the wall is hundreds of wavelengths of its
         shear waves thick.

@@ -31,9 +31,10 @@ is negative, so that the term is passive by construction.
 
 S must not be too concentrated in other places, either. The wetted area of a wall cell, whose volume
 may be arbitrarily small, is therefore not assigned to that cell alone but spread over `WALL_SPREAD`
-by diffusion, which conserves its total and makes the result independent of the grid. The tangential
-parts are spread with it: for each direction of a face, the area times one minus the square of the
-normal's component.
+by diffusion, which conserves its total and makes the result independent of the grid. It is spread
+farther for bands of low frequencies, whose boundary layers are thicker: S sqrt(nu) at a flat wall
+would otherwise exceed the limit. The tangential parts are spread with it: for each direction of a
+face, the area times one minus the square of the normal's component.
 
 The absorption of the air adds two terms to the pressure whose Laplacian is taken: one proportional
 to the pressure's rate of change (classical absorption), and terms that lag behind the pressure (the
@@ -78,7 +79,11 @@ from acoustube.waves.scheme.relaxation_fit import half_integral
 from acoustube.waves.scheme.time_step import largest_eigenvalue
 
 WALL_SPREAD = 0.2e-3
-"""Standard deviation in m of the distance over which the wetted area is spread."""
+"""Standard deviation in m of the distance over which the wetted area is spread, at least."""
+LARGEST_SPREAD = 2e-3
+"""Largest standard deviation in m of this distance."""
+FLAT_WALL_DRAG = 0.75
+"""Largest fraction of the limit of the drag that a flat wall reaches."""
 WALL_THRESHOLD = 0.01
 """Wetted area per volume, relative to that at a flat wall, below which a cell has no losses at the
 wall."""
@@ -187,8 +192,8 @@ def losses(
     decay = (1 - rates * time_step / 2) / (1 + rates * time_step / 2)
     gain = time_step / (1 + rates * time_step / 2)
     weight = np.ones(cells.shape[2]) if weight is None else weight
-    wetted = wetted_area(cells, exact) * weight
     most = LARGEST_DRAG / float(np.sum(wall.weights / wall.rates))
+    wetted = wetted_area(cells, exact, _spread(most, air)) * weight
     drag = _drag(operator, wetted * sqrt(air.viscous_diffusivity), most, dtype)
     compliance = (air.heat_capacity_ratio - 1) * sqrt(air.thermal_diffusivity) * wetted.sum(axis=0)
     # The classical absorption A f^2 corresponds to a diffusivity of the pressure A c^3 / (2 pi^2).
@@ -215,13 +220,21 @@ def _scalars(values: Array, dtype: DTypeLike) -> tuple[jax.Array, ...]:
     return tuple(on_device(value, dtype) for value in values)
 
 
-def wetted_area(cells: CutCells, exact: CutCells) -> Array:
+def _spread(most: float, air: Air) -> float:
+    """Return the distance in m over which the wetted area is spread, for a limit of the drag."""
+    needed = sqrt(2 / pi * air.viscous_diffusivity) / (FLAT_WALL_DRAG * most)
+    return min(max(WALL_SPREAD, needed), LARGEST_SPREAD)
+
+
+def wetted_area(cells: CutCells, exact: CutCells, spread: float = WALL_SPREAD) -> Array:
     """Return the wetted wall area per volume of air, spread over the air near the wall.
 
     Parameters
     ----------
     cells, exact : CutCells
         A grid after and before `share_small_volumes`.
+    spread : float
+        Standard deviation of the distance over which it is spread, in m.
 
     Returns
     -------
@@ -233,7 +246,7 @@ def wetted_area(cells: CutCells, exact: CutCells) -> Array:
     -----
     The wall's vector area in a cell is minus the sum of those of its open faces. A tube that
     continues beyond its ends has no wall there, and a plane of symmetry is not a wall. The tail of
-    the diffusion beyond three `WALL_SPREAD`, a few thousandths of the total, is redistributed to
+    the diffusion beyond three times `spread`, a few thousandths of the total, is redistributed to
     the rest, so that cells in the core need no memory variables.
     """
     dx, dy, dz = exact.spacing
@@ -251,28 +264,29 @@ def wetted_area(cells: CutCells, exact: CutCells) -> Array:
     volume = cells.volume_fraction * dx * dy * dz
     density = np.divide(1.0, area * volume, out=np.zeros_like(area), where=area * volume > 0)
     operator = assemble(cells, Air(sound_speed=1.0, density=1.0), 0.0)
-    n_steps = int(np.ceil(WALL_SPREAD**2 / 2 * largest_eigenvalue(operator)))
-    spread = [
-        _diffused(on_device(component, np.float32), operator, n_steps)
+    n_steps = int(np.ceil(spread**2 / 2 * largest_eigenvalue(operator)))
+    rate = on_device(spread**2 / (2 * n_steps), np.float32)
+    diffused = [
+        _diffused(on_device(component, np.float32), operator, rate, n_steps)
         for component in vector**2 * density
     ]
-    return _near_the_wall(np.asarray(spread, float), cells.volume_fraction)
+    return _near_the_wall(np.asarray(diffused, float), cells.volume_fraction, spread)
 
 
-def _near_the_wall(wetted: Array, volume: Array) -> Array:
+def _near_the_wall(wetted: Array, volume: Array, spread: float) -> Array:
     """Return the wetted area truncated below `WALL_THRESHOLD`, rescaled to the same total."""
-    at_flat_wall = sqrt(2 / pi) / WALL_SPREAD
+    at_flat_wall = sqrt(2 / pi) / spread
     near = wetted * (wetted.sum(axis=0) > WALL_THRESHOLD * at_flat_wall)
     total, kept = (float(np.sum(area * volume)) for area in (wetted, near))
     return near * (total / kept) if kept > 0 else wetted
 
 
 @jax.jit
-def _diffused(density: jax.Array, operator: Operator, n_steps: int) -> jax.Array:
-    """Return a density after n steps of explicit diffusion over `WALL_SPREAD`."""
+def _diffused(density: jax.Array, operator: Operator, rate: jax.Array, n_steps: int) -> jax.Array:
+    """Return a density after n steps of explicit diffusion at a rate in m2 per step."""
 
     def step(_: int, density: jax.Array) -> jax.Array:
-        return density + WALL_SPREAD**2 / (2 * n_steps) * laplacian(with_halo(density), operator)
+        return density + rate * laplacian(with_halo(density), operator)
 
     return jax.lax.fori_loop(0, n_steps, step, density)
 

@@ -32,9 +32,11 @@ from acoustube.waves.spectral.walls import Contours, Wall
 SECTION_DEGREE = 18
 """Total degree of the polynomials for the modes of a section that is not round."""
 
-BESIDE_TOP = 0.02
-"""Distance from the middle plane, in half widths, of the point at the top at which odd modes are
-made positive."""
+MIRROR_PERTURBATION = 1e-6
+"""Weight of the reflection x -> -x, relative to the inverse squared radius, that separates modes of
+equal cut-on."""
+SIGN_POINTS = 24
+"""Number of points over half the width, and over half the height, from which signs are derived."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,33 +185,58 @@ def section_of(wall: Wall, odd: bool | None) -> Section:
     boxes = extent if unmoved is None else unmoved.boxes
     contours = wall.contours(z, SECTION_DEGREE)
     mass, _, stiffness = (part[0] for part in section_matrices(contours, boxes, basis))
+    mirror = np.zeros_like(mass)
+    if odd is None:
+        mirrored = np.where(basis.i % 2 == 0, 1.0, -1.0)
+        # Product with the reflection x -> -x of the functions, from that of Legendre products.
+        mirror = mass @ (basis.mix @ (mirrored[:, None] * np.linalg.inv(basis.mix))).T
+    # Pairs of equal cut-on mix arbitrarily; a small multiple of the reflection separates them.
+    apart = MIRROR_PERTURBATION / wall.radius**2 * (mirror + mirror.T) / 2
     try:
-        square, vectors = eigh(stiffness, mass)
+        vectors = eigh(stiffness - apart, mass)[1]
     except np.linalg.LinAlgError as cause:
         raise ConfigError(
             "the end's section overlaps itself or is too slender for the spectral solver; use the "
             "time-domain solver (acoustube.waves.scatter)"
         ) from cause
+    square = np.einsum("im,ij,jm->m", vectors, stiffness, vectors)
     zeros = np.sqrt(np.maximum(square, 0.0)) * wall.radius
     if not odd:
         zeros[0] = 0.0
     sine = np.full(len(zeros), bool(odd))
     if odd is None:
-        mirrored = np.where(basis.i % 2 == 0, 1.0, -1.0)
-        # Matrix of the reflection x -> -x of the functions, from that of their Legendre products.
-        mirror = basis.mix @ (mirrored[:, None] * np.linalg.inv(basis.mix))
-        sine = np.einsum("im,ij,jm->m", vectors, mass @ mirror.T, vectors) < 0
+        sine = np.einsum("im,ij,jm->m", vectors, mirror, vectors) < 0
     names, m = _names(sine)
     if unmoved is None:
-        # Odd modes vanish at the top, so that a point beside it is taken for them.
-        top, beside = basis.values(np.array([0.0, BESIDE_TOP]), np.ones(2)).T
-        positive = np.where(sine, beside @ vectors, top @ vectors)
+        positive = _in_first_lobes(contours, boxes, basis, vectors)
     else:
         positive = np.einsum("im,ij,jm->m", vectors, mass, unmoved.coefficients)
     vectors = vectors * np.where(positive < 0, -1, 1)
     alike = np.ones(len(zeros)) if unmoved is None else np.abs(positive)
     modes = PortModes(names, m, zeros, sine)
     return Section(contours, boxes, extent, basis, vectors, modes, alike)
+
+
+def _in_first_lobes(contours: Contours, boxes: Boxes, basis: Polynomials, vectors: Array) -> Array:
+    """Return a pressure of each mode that a round bore's mode has in the first lobe of J_m, (n,).
+
+    It is that at the first of some points in x > 0 at which the pressure is above half of the
+    highest. The points are in columns from the plane x = 0 on, from the axis downwards first.
+    """
+    side = (np.arange(SIGN_POINTS) + 0.5) / SIGN_POINTS
+    across, up = np.meshgrid(side, np.concatenate([-side, side]), indexing="ij")
+    x, y = across.ravel(), up.ravel()
+    # Where a half line upwards crosses the contour an odd number of times; half a contour is closed
+    # along x = 0.
+    rim = [(contours.x[0] - boxes.x0) / boxes.a, (contours.y[0] - boxes.y0) / boxes.b]
+    (here_x, here_y), (next_x, next_y) = rim, (np.roll(part, -1) for part in rim)
+    passes = (here_x <= x[:, None]) != (next_x <= x[:, None])
+    share = np.divide(x[:, None] - here_x, next_x - here_x, out=0.0 * passes, where=passes)
+    above = passes & (here_y + share * (next_y - here_y) > y[:, None])
+    inside = above.sum(axis=1) % 2 == 1
+    found = basis.values(x[inside], y[inside]).T @ vectors
+    high = np.abs(found) > 0.5 * np.abs(found).max(axis=0)
+    return np.asarray(np.take_along_axis(found, high.argmax(axis=0)[None], 0)[0])
 
 
 def _end_box(wall: Wall, z: Array) -> Boxes:

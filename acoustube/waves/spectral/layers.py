@@ -34,13 +34,17 @@ from scipy.special import ive
 from acoustube.air import Air
 from acoustube.waves.spectral.assembly import Boxes
 from acoustube.waves.spectral.boundary import WallPoints
-from acoustube.waves.spectral.ends import Rim, Section
 from acoustube.waves.spectral.polynomials import Array
-from acoustube.waves.spectral.ports import Complex, PortModes
+from acoustube.waves.spectral.ports import Complex
 from acoustube.waves.spectral.walls import Contours
 
 NARROW_SECTION = 60.0
 """Height or width of a section, over ``|D_v|``, below which gaps are measured at each point."""
+NARROW_GAP = 12.0
+"""Gap between walls, over ``|D_v|``, below which the gaps of a higher and wider section are
+measured too. In wider gaps f is that of a wide section within 1e-3."""
+FEW_POINTS = 60
+"""Approximate number of points round a contour from which such gaps are found."""
 WIDE_GAP = 30.0
 """Gap, over ``|D_v|`` at the lowest frequency, that all gaps of a wide element exceed."""
 MANY_LAYERS = 15.0
@@ -127,9 +131,13 @@ def gaps_of(points: WallPoints, thickness: float, like: Gaps | None = None) -> G
         Gaps of nearly the same wall, whose `measured` is used.
     """
     contours, boxes = points.contours, points.boxes
-    measured = _narrow(boxes, thickness) if like is None else like.measured
+    measured = (
+        narrow_sections(contours, boxes, points.halved, thickness)
+        if like is None
+        else like.measured
+    )
     width = gap_widths(contours, boxes, points.halved, measured)
-    roundness = np.clip(_curvature(contours) * width / 2, 0.0, 1.0)
+    roundness = np.clip(curvature(contours) * width / 2, 0.0, 1.0)
     return Gaps(width, roundness, measured, sealing_weight(width, points.sealing_gap))
 
 
@@ -151,9 +159,22 @@ def sealing_weight(width: Array, sealing_gap: float) -> Array:
     return np.asarray(share**2 * (3 - 2 * share))
 
 
-def _narrow(boxes: Boxes, thickness: float) -> NDArray[np.bool_]:
-    """Return a mask of the sections so narrow that their gaps are measured point by point."""
-    return 2 * np.minimum(boxes.a, boxes.b) < NARROW_SECTION * thickness
+def narrow_sections(
+    contours: Contours, boxes: Boxes, halved: bool, thickness: float
+) -> NDArray[np.bool_]:
+    """Return a mask of the sections so narrow that their gaps are measured point by point.
+
+    They are low or slender, or dented until opposite walls almost meet, as under a small tool.
+    """
+    narrow = 2 * np.minimum(boxes.a, boxes.b) < NARROW_SECTION * thickness
+    dented = np.any(curvature(contours) < 0, axis=1) & ~narrow
+    few = slice(None, None, max(contours.x.shape[1] * (1 + halved) // FEW_POINTS, 1))
+    contours = contours._replace(
+        t=contours.t[few], weight=contours.weight[few],
+        **{name: getattr(contours, name)[:, few] for name in ("x", "y", "x_t", "y_t")},
+    )  # fmt: skip
+    width = gap_widths(contours, boxes, halved, dented).min(axis=1)
+    return narrow | (dented & (width < NARROW_GAP * thickness))
 
 
 def layer_series(points: WallPoints, frequency: Array, air: Air) -> LayerSeries:
@@ -264,7 +285,7 @@ def _between(sampled: Array, values: Complex, frequency: Array) -> Complex:
     return np.asarray(CubicSpline(np.log(sampled), values)(np.log(frequency)))
 
 
-def _curvature(contours: Contours) -> Array:
+def curvature(contours: Contours) -> Array:
     """Return the curvature of the sections' contours in 1/m, positive where they are convex."""
     angle = np.unwrap(np.arctan2(contours.y_t, contours.x_t), axis=1)
     return np.asarray(np.gradient(angle, contours.t, axis=1) / np.hypot(contours.x_t, contours.y_t))
@@ -334,67 +355,3 @@ def _touching(here: Array, inwards: Array, there: Array, facing: Array) -> Array
     reached = np.where(opposite, ahead + rise * s, 1.0)
     between = np.where(opposite, (square + s * (2 * slope + length * s)) / reached, np.inf)
     return np.asarray(np.minimum(least, between).min(axis=1))
-
-
-def lossy_ends(
-    k: Complex, modes: PortModes, radius: float, rim: Rim, frequency: Array, air: Air
-) -> tuple[Complex, Complex]:
-    """Return the axial wavenumbers of the ends' modes with boundary layers, and their fluxes.
-
-    Parameters
-    ----------
-    k : ndarray
-        Wavenumbers of free sound in the air in 1/m, complex with absorption, (n,).
-    modes : PortModes
-        Modes of the ends without losses.
-    radius : float
-        The wall's `radius` in m.
-    rim : Rim
-        Products of the modes along the contour.
-    frequency : ndarray
-        In Hz, (n,).
-    air : Air
-
-    Returns
-    -------
-    kz : ndarray
-        In 1/m, (n, n_modes).
-    flux : ndarray
-        Components of each lossy mode's flux along the lossless modes, (n, n_modes, n_modes).
-
-    Notes
-    -----
-    f G is closed int f psi_a psi_b of the lossless modes along the contour, f G' that of their
-    derivatives along it, kt their cut-on wavenumber, and N = 1 - D_v f G. The eigenproblem is
-    kz^2 N v = (k^2 (1 + (gamma - 1) D_t f G) - kt^2 + D_v f G') v. The flux is N v, normalised to
-    v^T N v = 1.
-    """
-    layers = layer_thickness(frequency, air)
-    width, roundness = np.array([2 * radius]), np.ones(1)
-    if rim.section is not None:
-        width, roundness = _section_widths(rim.section, float(np.abs(layers[0][0])))
-    viscous, thermal = (d[:, None] * filling(width, roundness, d[:, None]) for d in layers)
-    one = np.eye(len(modes))
-    inertia = one - np.tensordot(viscous, rim.product, 1)
-    thermal = (air.heat_capacity_ratio - 1) * np.tensordot(thermal, rim.product, 1)
-    right = k[:, None, None] ** 2 * (one + thermal)
-    right = right - np.diag((modes.zeros / radius) ** 2)
-    right = right + np.tensordot(viscous, rim.slope, 1)
-    square, vector = np.linalg.eig(np.linalg.solve(inertia, right))
-    order = np.argmax(np.abs(vector), axis=1)
-    back = np.argsort(order, axis=1)
-    square = np.take_along_axis(square, back, 1)
-    vector = np.take_along_axis(vector, back[:, None], 2)
-    norm = np.sqrt(np.einsum("fam,fab,fbm->fm", vector, inertia, vector))
-    vector = vector / norm[:, None]
-    vector = vector * np.where(np.einsum("fmm->fm", vector).real < 0, -1, 1)[:, None]
-    root = np.sqrt(square)
-    return np.where(root.imag > 0, -root, root), inertia @ vector
-
-
-def _section_widths(section: Section, thickness: float) -> tuple[Array, Array]:
-    """Return the gap widths h in m and weights b along an end's contour, (n_points,) each."""
-    contours, halved = section.contours, section.basis.odd is not None
-    measured = _narrow(section.boxes, thickness)
-    width = gap_widths(contours, section.extent, halved, measured)
-    return width[0], np.clip(_curvature(contours) * width / 2, 0.0, 1.0)[0]

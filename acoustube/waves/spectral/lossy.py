@@ -22,8 +22,9 @@ from acoustube.waves.spectral.boundary import (
 )
 from acoustube.waves.spectral.discretisation import Discretisation, Layers
 from acoustube.waves.spectral.elimination import product
+from acoustube.waves.spectral.end_layers import lossy_ends
 from acoustube.waves.spectral.first_basis import flat_elements
-from acoustube.waves.spectral.layers import LayerSeries, layer_series, lossy_ends
+from acoustube.waves.spectral.layers import LayerSeries, layer_series
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex, scattering_of
 from acoustube.waves.spectral.quadrature import axial_rule

@@ -21,8 +21,9 @@ from acoustube.waves.spectral.boundary import tangential_matrices, wall_points
 from acoustube.waves.spectral.derivatives import NO_MODES, Changes, modes_like, reduced_changes
 from acoustube.waves.spectral.discretisation import Discretisation
 from acoustube.waves.spectral.elimination import product
+from acoustube.waves.spectral.end_layers import lossy_ends
 from acoustube.waves.spectral.ends import rim_of
-from acoustube.waves.spectral.layers import LayerSeries, changed_series, lossy_ends
+from acoustube.waves.spectral.layers import LayerSeries, changed_series
 from acoustube.waves.spectral.lossy import (
     LAYER_DEGREE,
     LossySide,

@@ -74,6 +74,9 @@ ERROR_WINDOW = 3
 error may pass through zero."""
 FIRST_SHARE = 0.5
 """Initial bound, as a fraction of the tolerance, of the error by degree and of that by elements."""
+END_DEVIATION = 2e-3
+"""Largest deviation of the wall from its ends' circle, or of its ends from each other, relative to
+`Wall.radius`."""
 MAX_SOLUTIONS = 2
 """Largest number of solutions of the whole band."""
 
@@ -154,8 +157,9 @@ def scatter_spectral(
     ------
     ConfigError
         If an argument is out of range or the frequencies do not rise, or an end's section overlaps
-        itself or is too slender. Also if the motion lacks a symmetry of the wall, differs between
-        the ends, makes round ends not round, or moves ends with equal cut-ons.
+        itself or is too slender, or the ends differ or are not round as the wall states. Also if
+        the motion lacks a symmetry of the wall, differs between the ends, makes round ends not
+        round, or moves ends with equal cut-ons.
     numpy.linalg.LinAlgError
         If sections of the lumen overlap themselves.
 
@@ -167,6 +171,7 @@ def scatter_spectral(
     frequency = np.asarray(frequency, float)
     if not np.all(np.diff(frequency) > 0):
         raise ConfigError("frequency must be positive and increasing; give a 1-D array in Hz")
+    _check_ends(wall)
     k = 2 * np.pi * frequency / air.sound_speed
     parities: tuple[bool | None, ...] = (None,)
     if wall.symmetric:
@@ -180,6 +185,24 @@ def scatter_spectral(
         return _joined([_part(task, odd) for odd in parities], task)
 
 
+def _check_ends(wall: Wall) -> None:
+    """Check that the ends are equal and, if the wall states it, round with its radius."""
+    x, y, *_ = wall.lines(np.array(wall.ends))
+    largest = END_DEVIATION * wall.radius
+    if wall.circular:
+        distance = np.hypot(x, y)
+        if np.abs(distance - wall.radius).max() > largest:
+            raise ConfigError(
+                f"is not that of the wall's ends, which are {distance.min():.4g} to "
+                f"{distance.max():.4g} m from x = y = 0", setting="radius", value=wall.radius,
+                advice="let both ends be circles of that radius about x = y = 0",
+            )  # fmt: skip
+    elif max(np.ptp(x, axis=0).max(), np.ptp(y, axis=0).max()) > largest:
+        raise ConfigError(
+            "the lumen's ends differ in section; let both end in straight tube of one section"
+        )
+
+
 def _joined(parts: list[_Part], task: _Task) -> SpectralScattering:
     """Combine the scattering matrices of both symmetries, in the order of the cut-ons."""
     frequency, reference = task.frequency, task.reference
@@ -190,7 +213,8 @@ def _joined(parts: list[_Part], task: _Task) -> SpectralScattering:
     for part in parts:
         here = slice(end, end := end + len(part.names))
         s[:, :, here, :, here], moved[:, :, here, :, here] = part.s, part.moved
-    order = sorted(range(len(names)), key=lambda i: (zeros[i], names[i]))
+    # The cut-ons of a pair differ by rounding.
+    order = sorted(range(len(names)), key=lambda i: (round(float(zeros[i]), 9), names[i]))
     cut_ons = zeros[order] * task.air.sound_speed / (2 * np.pi * task.wall.radius)
     low, high = parts[0].heights
     return SpectralScattering(
