@@ -40,11 +40,11 @@ def test_forces_of_the_path_give_back_its_depths(on_an_arm):
 def test_press_solved_at_the_depth_that_a_force_gives_bears_it_within_the_stated_error(on_an_arm):
     """A press to the interpolated depth for 1.3 N has this force within the estimate.
 
-    The estimate is at most 2e-3 of the force.
+    The estimate is at most 3e-3 of the force, by which forces fluctuate with the contact points.
     """
     found = by_force(on_an_arm, 1.3)
     assert float(found.depth) not in on_an_arm.depth
-    assert 0 < float(found.force_error) < 2e-3 * 1.3
+    assert 0 < float(found.force_error) < 3e-3 * 1.3
     force = pressed([float(found.depth)], ARM).contact_force[-1]
     assert abs(force - 1.3) < float(found.force_error)
 

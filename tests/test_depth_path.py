@@ -64,6 +64,15 @@ def test_estimate_grows_with_the_distance_of_the_rows(solved, path):
     assert far.error(place).displacement > path.error(place).displacement
 
 
+def test_estimate_beside_a_close_pair_of_rows_is_that_of_one_row(path):
+    """A row 5 um before that at 2.5 mm predicts it, but not the states up to the next, at 3 mm."""
+    rows = path.indentation.depth
+    paired = DepthPath(path.at(np.sort(np.append(rows, rows[-2] - 5e-6))))
+    one, two = (found.error(2.75e-3) for found in (path, paired))
+    assert two.displacement == pytest.approx(one.displacement, rel=0.1)
+    assert two.contact_force == pytest.approx(one.contact_force, rel=0.1)
+
+
 def test_derivatives_are_slopes_and_have_no_step_at_a_row(path):
     """Central differences over 1 um of a curve with a third derivative under 1e8 N/m3."""
     step, depth = 1e-6, np.array([0.8e-3, 1.7e-3])

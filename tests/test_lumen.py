@@ -9,7 +9,7 @@ import pytest
 from refusals import refused
 from test_indentation import DEEP, pressed, reference
 
-from acoustube.base.limits import CLEARANCE, pressed_reach
+from acoustube.base.limits import CLEARANCE, JOINED_CLEARANCE, pressed_reach
 from acoustube.indentation import Indenter, MeshSize, indent
 from acoustube.indentation.mesh import sweep
 from acoustube.indentation.press import first_touch, neo_hookean_wall, press_model
@@ -25,6 +25,10 @@ from acoustube.lumen import (
     whole_tube,
 )
 from acoustube.tube import Tube
+from acoustube.waves import cut_cells
+from acoustube.waves.grid.straight_part import straight_ends_cut
+from acoustube.waves.spectral import wall_of
+from acoustube.waves.spectral.partition import LEAD
 
 TUBE = Tube(length=0.4)
 RADIUS = TUBE.inner_diameter / 2
@@ -245,6 +249,35 @@ def test_lists_are_measured_and_straightened_as_arrays():
     assert straighten([[0.0, 1e-3, 0.01]], line)[0] == pytest.approx([0.0, 1e-3, 0.01])
 
 
+def tilted(angle, z=0.0):
+    """Return a press at z whose only displacement is a rotation by an angle about the x axis."""
+    points = fabricated(z=z).mesh.points
+    turn = [[1, 0, 0], [0, np.cos(angle), np.sin(angle)], [0, -np.sin(angle), np.cos(angle)]]
+    return fabricated(points @ np.transpose(turn) - points, z=z)
+
+
+@pytest.mark.parametrize("z", [0.0, 20e-3])
+def test_sections_beyond_and_through_the_ends_of_the_modelled_part_are_nan(z):
+    """A circle that is cut at an angle has the area over its cosine; the mesh is 1e-5 below it."""
+    press = tilted(0.2, z)
+    end = press.mesh.points[:, 2].max()
+    places = np.array([0.8, 0.98, 1.0, 1.2]) * end
+    found = measure(press, 0, np.concatenate([places, -places]))
+    assert np.array_equal(np.isnan(found.area), [False, True, True, True] * 2)
+    assert np.array_equal(np.isnan(found.area), np.isnan(found.height))
+    assert np.array_equal(np.isnan(found.area), np.isnan(found.width))
+    area = np.pi * RADIUS**2 / np.cos(0.2)
+    assert found.area[[0, 4]] == pytest.approx([area, area], rel=2e-4)
+
+
+def test_straight_tube_that_tilts_as_a_whole_stays_straight():
+    """The press is not at z = 0, where the bottom line is not level."""
+    found = lumen(tilted(0.08, 20e-3), 0.2)
+    for rings in (found.rings, found.outer_rings):
+        assert np.ptp(rings[..., :2], axis=0).max() < 1e-12
+        assert np.ptp(rings[..., 2], axis=1).max() < 1e-12
+
+
 def test_ring_faces_close_a_prism_of_known_volume():
     """A unit square prism of height 2 in three rings: 12 + 8 triangles, volume 2, outwards."""
     square = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]]) / np.sqrt(2)
@@ -340,18 +373,33 @@ def test_closed_lumen_is_a_closed_surface_that_does_not_cross_itself():
     assert height == pytest.approx(0.015e-3, rel=0.01)
 
 
-@pytest.mark.parametrize("position", [0.1, 0.23])
+@pytest.mark.parametrize("position", [0.1, 0.23, 0.0625, 0.3375])
 def test_whole_tube_of_a_pressed_part_is_the_lumen(position):
-    """The rings of the pressed part are the same, between straight tube of the same length."""
+    """The rings are the same, also at the first and the last position that settings allow."""
     found = pressed(1, 2)
     whole, built = whole_tube(pressed_part(found), position, 0.4), lumen(found, position)
     assert np.ptp(whole.rings[..., 2]) == pytest.approx(0.4, abs=1e-12)
-    np.testing.assert_allclose(whole.rings[2:-2], built.rings[2:-2], atol=1e-12)
+    np.testing.assert_allclose(whole.rings, built.rings, atol=1e-12)
+    np.testing.assert_allclose(whole.outer_rings, built.outer_rings, atol=1e-12)
     assert whole.surface.volume == pytest.approx(built.surface.volume, rel=1e-6)
     error = refused(
         lambda: whole_tube(pressed_part(found), 0.02, 0.4), setting="position", value=0.02
     )
     whole_tube(pressed_part(found), float(error.advice.split()[1]), 0.4)
+
+
+@pytest.mark.parametrize("resolution", [8, 24])
+def test_part_computed_alone_fits_the_places_that_settings_allow(resolution):
+    """Its straight ends, of both solvers, begin within the clearance for joined parts."""
+    part, across = pressed_part(pressed(1, 2)), TUBE.inner_diameter / resolution
+    room = pressed_reach(TUBE.outer_diameter, ROD) + JOINED_CLEARANCE * TUBE.outer_diameter
+    length = 2 * part.position
+    cells = cut_cells(part.surface, (across, across, length / np.ceil(length / across)))
+    core = straight_ends_cut(cells)
+    end = core.origin[2] + core.length + core.spacing[2] / 2 - part.position
+    farthest = [abs(place) + LEAD * RADIUS for place in wall_of(part).ends]
+    for place in (*farthest, part.position - core.origin[2], end):
+        assert room - TUBE.outer_diameter < place < room
 
 
 def test_each_increment_has_its_own_lumen():

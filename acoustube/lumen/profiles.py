@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +18,8 @@ INCREMENT = Number(-1e9, 1e9, whole=True)
 
 TRIANGLES_PER_EDGE = 8
 """Number of triangle edges per edge of an element's face, for the measurement of sections."""
+END_TOLERANCE = 1e-6
+"""Largest distance of an end's vertices from that end, in lengths of the modelled part."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +95,8 @@ def measure(
     Returns
     -------
     Profile
-        Measures of the whole section, even if only half of it is modelled.
+        Measures of the whole section, even if only half of it is modelled; nan where the plane is
+        beyond an end of the modelled part, or cuts an end, which is slanted in a tube that tilts.
 
     Raises
     ------
@@ -104,10 +106,23 @@ def measure(
     check_increment(indentation, increment)
     mesh = indentation.mesh
     sampling, triangles = wall or inner_wall(mesh)
+    z = np.asarray(z, float)
     modelled = np.abs(z) if mesh.halved[1] else z
     vertices = sampling @ indentation.position(increment)
     found = profile(vertices, triangles, modelled, halved=mesh.halved[0])
-    return dataclasses.replace(found, z=np.asarray(z, float))
+    low, high = _ends((sampling @ mesh.points)[:, 2], vertices[:, 2])
+    whole = (modelled < high) & ((modelled >= low) | mesh.halved[1])
+    area, height, width = (
+        np.where(whole, values, np.nan) for values in (found.area, found.height, found.width)
+    )
+    return Profile(z=z, area=area, height=height, width=width)
+
+
+def _ends(undeformed: Array, deformed: Array) -> tuple[float, float]:
+    """Return the z in m between which planes cut the wall all around, from z of its vertices."""
+    margin = END_TOLERANCE * np.ptp(undeformed)
+    first, last = undeformed < undeformed.min() + margin, undeformed > undeformed.max() - margin
+    return float(deformed[first].max()), float(deformed[last].min())
 
 
 @checked(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from acoustube.base.checks import PLACES, Reals, checked
+from acoustube.base.checks import FLAG, PLACES, Reals, checked
 from acoustube.base.errors import SimulationError
 from acoustube.base.types import Array
 
@@ -16,8 +16,8 @@ MIN_SLOPE = 0.1
 distance from the centre of curvature to the radius of curvature."""
 
 
-@checked(points=PLACES, line=Reals(-1e6, 1e6, "m", ndim=2, last=3))
-def straighten(points: Array, line: Array) -> Array:
+@checked(points=PLACES, line=Reals(-1e6, 1e6, "m", ndim=2, last=3), level=FLAG)
+def straighten(points: Array, line: Array, *, level: bool = True) -> Array:
     """Transform points to coordinates along and across a curve in the plane x = 0.
 
     A tube on a free support lifts off the floor away from the indenter. So gentle a bend does not
@@ -28,13 +28,17 @@ def straighten(points: Array, line: Array) -> Array:
     points : array of shape (..., 3)
         Points (x, y, z) in m.
     line : array of shape (n, 3)
-        Points on the curve in m, from z = 0 outwards; its tangent at z = 0 is along z.
+        Points on the curve in m, in the order of z.
+    level : bool
+        Whether the curve's tangent at its first point is along z, as in a plane of symmetry. The
+        curvature vanishes at an end whose tangent is not given.
 
     Returns
     -------
     array of shape (..., 3)
         Coordinates in m: x is unchanged, y is the distance from the curve, positive above it, plus
-        the height y of its first point, z is the arc length at the nearest point of the curve.
+        the height y of its first point, z is the arc length from there to the nearest point of the
+        curve.
 
     Raises
     ------
@@ -51,10 +55,11 @@ def straighten(points: Array, line: Array) -> Array:
     if not np.all(np.diff(arc) > 0):
         raise ValueError("line has the same point twice in succession; give each once")
     # A chord h is shorter than its arc of curvature kappa by (h kappa)^2 / 24, here below 1e-5.
-    curve = CubicSpline(arc, line[:, 1:], bc_type=((1, [0.0, 1.0]), (2, [0.0, 0.0])))
+    free = (2, [0.0, 0.0])
+    curve = CubicSpline(arc, line[:, 1:], bc_type=((1, [0.0, 1.0]) if level else free, free))
     tangent, turn = curve.derivative(), curve.derivative(2)
     y, z = points[..., 1], points[..., 2]
-    s = z.copy()
+    s = z - line[0, 2]
     for _ in range(PROJECTION_STEPS):
         offset = np.stack([y, z], axis=-1) - curve(s)
         error = np.sum(offset * tangent(s), axis=-1)

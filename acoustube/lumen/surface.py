@@ -246,15 +246,19 @@ def whole_tube(part: Lumen, position: float, length: float) -> Lumen:
     ConfigError
         If the pressed part does not fit between the tube's ends.
     """
-    shift = np.array([0.0, 0.0, position - part.position])
+    walls = part.rings, part.outer_rings
+    reach = max(np.abs(wall[2:-2, :, 2] - part.position).max() for wall in walls)
+    room = min(position, length - position)
+    if not reach < room:
+        raise _too_near_an_end(position, length, reach)
+    # The section blends into the circle as by `lumen`, over a shorter length near an end.
+    blend = min(part.position - float(part.rings[1, 0, 2]) - reach, (room - reach) / 2)
+    outer_z = np.array([0, position - reach - blend, position + reach + blend, length])
 
     def longer(rings: Array) -> Array:
-        moved = rings + shift
-        low, high = moved[1, :, 2].min(), moved[-2, :, 2].max()
-        if not 0 < low <= high < length:
-            raise _too_near_an_end(position, length, max(position - low, high - position))
-        moved[0, :, 2], moved[-1, :, 2] = 0.0, length
-        return moved
+        moved = rings + np.array([0.0, 0.0, position - part.position])
+        moved[[0, 1, -2, -1], :, 2] = outer_z[:, None]
+        return np.asarray(moved)
 
     return dataclasses.replace(
         part, rings=longer(part.rings), outer_rings=longer(part.outer_rings), position=position
@@ -274,7 +278,7 @@ def _too_near_an_end(position: float, length: float, reach: float) -> ConfigErro
 
 
 def _straight(wall: Array, bottom: Array, floor: float, mesh: Mesh) -> Array:
-    """Straighten the rings on both sides of the indenter along the tube's bottom line.
+    """Straighten the rings along the tube's bottom line, on both sides of z = 0.
 
     The line is moved to the height `floor` of the undeformed tube, because on a soft layer the
     whole tube moves down.
@@ -285,11 +289,10 @@ def _straight(wall: Array, bottom: Array, floor: float, mesh: Mesh) -> Array:
     if mesh.halved[1]:
         half = straighten(wall, bottom)
         return np.concatenate([half[:0:-1] * [1, 1, -1], half])
-    mirror = np.array([1, 1, -1])
-    before = straighten(wall[middle::-1] * mirror, bottom[middle::-1] * mirror) * mirror
-    # Arc lengths count from the ring nearest to z = 0, which may lie beside it.
-    straight = np.concatenate([before[:0:-1], straighten(wall[middle:], bottom[middle:])])
-    return np.asarray(straight + np.array([0.0, 0.0, bottom[middle, 2]]))
+    # Heights and arc lengths count from the line's first point, and z from its middle one.
+    before = np.sum(np.linalg.norm(np.diff(bottom[: middle + 1], axis=0), axis=1))
+    start = np.array([0.0, floor - bottom[0, 1], bottom[middle, 2] - before])
+    return np.asarray(straighten(wall, bottom, level=False) + start)
 
 
 def _with_ends(pressed: Array, ring: Array, position: float, ends: Array, length: float) -> Array:

@@ -32,6 +32,8 @@ BISECTIONS = 50
 class ByForce:
     """Presses at given contact forces; all arrays have the shape of the forces.
 
+    With several indenters the lumen and the ground are those at the first.
+
     Attributes
     ----------
     force : array
