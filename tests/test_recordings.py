@@ -529,6 +529,31 @@ def test_argument_or_label_keeps_what_a_file_of_our_own_states(tmp_path):
     np.testing.assert_allclose(labelled["depth"], 4e-3)
 
 
+@pytest.mark.parametrize("n", [1, 3])
+def test_argument_or_label_keeps_the_labels_and_numbers_of_our_own_cycles(tmp_path, n):
+    """Also of a single cycle, and with a name that is a synonym of the temperature."""
+    labels = {
+        "air_temperature": ("cycle", np.full(n, 21.0), {"units": "degC"}),
+        "depth": ("cycle", np.full(n, 2e-3), {"units": "m", "long_name": "indentation"}),
+    }
+    names = {"session": ("cycle", np.arange(n)), "press": ("cycle", list("abc")[:n])}
+    simulated = record([], n_cycles=n, first_cycle=5).assign(labels).assign_coords(names)
+    write(simulated, tmp_path / "a.nc")
+    warm = read(tmp_path / "a.nc", temperature=30.0)
+    assert np.all(warm["temperature"] == 30)
+    xr.testing.assert_identical(
+        warm.drop_attrs(deep=False).drop_vars("temperature"),
+        simulated.drop_attrs(deep=False).drop_vars("temperature")
+        .assign_coords(time=warm["time"]).assign(signal=warm["signal"]),
+    )  # fmt: skip
+    np.testing.assert_array_equal(warm["signal"], simulated["signal"])
+    sidecar(tmp_path / "a.nc", labels={"depth_mm": 4})
+    labelled = read(tmp_path / "a.nc")
+    np.testing.assert_allclose(labelled["depth"], 4e-3)
+    for name in ("temperature", "air_temperature", "session", "press", "cycle"):
+        xr.testing.assert_identical(labelled[name].variable, simulated[name].variable)
+
+
 def test_channel_is_chosen_by_argument_or_sidecar(tmp_path):
     path, signal = tmp_path / "a.wav", cycles(2)
     wavfile.write(path, int(RATE), signal.T.copy())

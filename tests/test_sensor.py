@@ -14,8 +14,9 @@ from acoustube.base.errors import ConfigError
 from acoustube.inversion import Library
 from acoustube.ranging import Rangefinder, record
 from acoustube.sensor import Contact, TubeSensor
-from acoustube.sensor.contacts import check_contacts, force_at
+from acoustube.sensor.contacts import check_contacts, depth_at, force_at
 from acoustube.sensor.network import _turned
+from acoustube.sensor.tables import PressTables
 from acoustube.sensor.tube_sensor import _key
 
 QUIET = Rangefinder(noise=0.0, drift=0.0, quantised=False)
@@ -60,19 +61,34 @@ def free():
 
 @pytest.mark.parametrize(
     "contacts",
-    [[(0.47, NODE)], [(1.9, 2.1e-3)], [(0.52, NODE), (0.81, 5.5e-3)],
+    [[(0.47, NODE)], [(1.9, 2.1e-3)], [(0.02, NODE)], [(0.52, NODE), (0.81, 5.5e-3)],
      [(1.31, 3.3e-3), (0.44, 6.1e-3), (0.71, NODE)]],
 )  # fmt: skip
 def test_cycle_at_the_librarys_depths_is_that_of_the_full_chain(sensor, free, contacts):
     """Includes multiple reflections of all modes, clutter and the far end; contacts in any order.
 
-    The band leaves out 5e-5 of the energy, 0.7 % in amplitude, and its taper as much again.
+    The band leaves out 5e-5 of the energy, 0.7 % in amplitude, and its taper as much again. What
+    the band rings before a near echo does not enter the end of the cycle.
     """
     given = [Contact(place=z, depth=d) for z, d in contacts]
     exact, found = chain(given) - free, sensor.read(given) - sensor.read([])
     assert np.abs(exact).max() > 5e-3
     assert np.linalg.norm(found - exact) < 0.02 * np.linalg.norm(exact)
     assert np.abs(found - exact).max() < 0.02 * np.abs(exact).max()
+
+
+def test_cycle_of_an_aliased_carrier_is_that_of_the_full_chain():
+    """EchoTube's board samples 42 kHz at 80 kHz."""
+    board = dataclasses.replace(QUIET, sampling_rate=80e3, n_samples=1600)
+    sensor, contact = (
+        TubeSensor(Library((tool(),)), board, tube_seed=7),
+        [Contact(place=0.5, depth=NODE)],
+    )
+    exact = chain(contact, board) - record([], board, tube_seed=7)["signal"].values[0]
+    found = sensor.read(contact) - sensor.read([])
+    late = slice(250, 700)  # before the far end's echo, which has parts outside the band
+    assert np.abs(exact[late]).max() > 5
+    assert np.linalg.norm((found - exact)[late]) < 0.02 * np.linalg.norm(exact[late])
 
 
 def test_single_scattering_alone_is_not_sufficient(sensor, free):
@@ -231,6 +247,20 @@ def test_tool_is_pressed_to_its_own_depth_beside_one_of_a_shallower_library(size
             check_contacts(tables, place, np.array([[6e-3]]), np.array([[size]]), **given)
         with pytest.raises(ConfigError, match="depth = 0"):
             force_at(tables, 6e-3, size)
+
+
+def test_force_between_tools_of_different_depths_reaches_to_their_common_depth():
+    """The rows of both tools count: those of the first alone end at 2 mm, and miss the bend."""
+    depths = np.array([[0, 1e-3, 2e-3, 3e-3], [0, 1.5e-3, 2.5e-3, np.inf]])
+    forces = np.array([[0, 1, 2, 3], [0, 1, 5, np.inf]])
+    tables = PressTables(
+        values=np.zeros((7, 2, 1, 1), np.float32), number=np.zeros((2, 1, 2, 1), int),
+        depths=depths, first=np.array([0, 4]), forces=forces,
+        diameters=np.array([10e-3, 20e-3]), between=np.full(2, np.nan),
+    )  # fmt: skip
+    for depth, wanted in ((1.5e-3, 1.25), (2.5e-3, 3.75)):
+        assert force_at(tables, depth, 15e-3) == pytest.approx(wanted)
+        assert depth_at(tables, wanted, 15e-3) == pytest.approx(depth)
 
 
 @pytest.mark.parametrize(

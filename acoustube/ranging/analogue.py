@@ -9,7 +9,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import log, pi
+from math import ceil, log, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,8 @@ PASSBAND = 0.8
 """End of the anti-alias filter's passband, as a fraction of the Nyquist frequency."""
 DRIVE_OVERSAMPLING = 16
 """Oversampling factor in the transform of a drive without a closed-form spectrum."""
+FOLDED_OVERSAMPLING = 4
+"""Least sampling rate in the computation of an aliased carrier, relative to its frequency."""
 PERIOD_IN_RECORDS = 2
 """Period of the discrete Fourier transform, in lengths of the record."""
 
@@ -59,7 +61,8 @@ def blockage(frequency: Array, position: float) -> PlacedScatterer:
     Parameters
     ----------
     frequency : ndarray
-        In Hz, (n,), rising and evenly spaced; the first and the last suffice.
+        In Hz, (n,), rising and evenly spaced; the first and the last suffice. From 0 on, they
+        include the mean of a drive.
     position : float
         Distance from the source end in m.
 
@@ -262,19 +265,24 @@ def response(
     ``send H E + gain H^2 E (p - 1) / (1 + r)``, to which the clutter is added as a part of the
     incident wave (p - 1) / (1 + r). It is computed in the frequency domain and filtered without
     delay, by a raised cosine that falls from 1 at 0.8 of the Nyquist frequency to 0 at that
-    frequency. No finer step is needed, and nothing is aliased.
+    frequency. No finer step is needed, and nothing is aliased. Only a drive whose frequency is half
+    the sampling rate or more is sampled without such a filter, as on EchoTube's board: computed at
+    a multiple of the rate, of which every sample but the recorded ones is dropped.
     """
-    rate, n = rangefinder.sampling_rate, rangefinder.n_samples
+    every = oversampling(rangefinder)
+    rate, n = every * rangefinder.sampling_rate, every * rangefinder.n_samples
     check_duration(rangefinder.drive, n / rate - rangefinder.lead)
     n_cycle = next_fast_len(PERIOD_IN_RECORDS * n, real=True)
     damping = log(WRAPAROUND_ATTENUATION) * rate / n_cycle
-    real = np.asarray(np.fft.rfftfreq(n_cycle, 1 / rate)[1:], float)
+    real = np.asarray(np.fft.rfftfreq(n_cycle, 1 / rate), float)
     frequency = real - 0.5j * damping / pi
     sent = sent_spectrum(rangefinder, frequency, rate, n_cycle, damping)
     sent *= rangefinder.resonator(frequency) * anti_alias(real, rate)
     sent *= np.exp(-2j * pi * frequency * rangefinder.lead)
     received = sent * rangefinder.resonator(frequency)
-    inside = in_band(presses, real, received, what="the received signal")
+    # A signal times a decaying exponential has a mean, and so a spectrum at frequency zero.
+    whole = all(press.scattering.frequency[0] == 0 for press in presses)
+    inside = np.append(whole, in_band(presses, real[1:], received[1:], what="the received signal"))
     air, band, face = air_at(temperature), frequency[inside], rangefinder.face_reflection
     pressure = transfer(
         presses, air, band, radius=radius, length=length, probes=(0.0,),
@@ -286,11 +294,17 @@ def response(
             presses, air, band, radius=radius, length=length,
             density=rangefinder.clutter, tube_seed=tube_seed, reflectors=reflectors,
         )  # fmt: skip
-    spectrum = np.zeros(len(real) + 1, complex)
-    spectrum[1:] = rangefinder.send * sent
-    spectrum[1:][inside] += rangefinder.gain * received[inside] * arriving
-    time = np.arange(n) / rate
-    return time, np.fft.irfft(spectrum * rate, n_cycle)[:n] * np.exp(damping * time)
+    spectrum = rangefinder.send * sent
+    spectrum[inside] += rangefinder.gain * received[inside] * arriving
+    time = (np.arange(n) / rate)[::every]
+    voltage = np.fft.irfft(spectrum * rate, n_cycle)[:n:every]
+    return time, voltage * np.exp(damping * time)
+
+
+def oversampling(rangefinder: Rangefinder) -> int:
+    """Return the number of computed samples for each recorded one; 1 if no carrier is aliased."""
+    carrier, rate = getattr(rangefinder.drive, "frequency", 0.0), rangefinder.sampling_rate
+    return 1 if carrier < rate / 2 else ceil(FOLDED_OVERSAMPLING * carrier / rate)
 
 
 def sent_spectrum(
@@ -313,7 +327,7 @@ def drive_spectrum(
     ----------
     drive : Burst, Chirp, Tones, Pulse or SampledPulse
     frequency : ndarray
-        In Hz, (n,): ``rate / n_cycle`` times 1, 2, ..., n, minus ``0.5j damping / pi``.
+        In Hz, (n,): ``rate / n_cycle`` times whole numbers, minus ``0.5j damping / pi``.
     rate : float
         Sampling rate in Hz.
     n_cycle : int
@@ -331,7 +345,8 @@ def drive_spectrum(
     step = 1 / (DRIVE_OVERSAMPLING * rate)
     time = np.arange(int(np.ceil(drive.duration / step)) + 1) * step
     samples = drive(time) * np.exp(-damping * time)
-    return np.fft.rfft(samples, DRIVE_OVERSAMPLING * n_cycle)[1 : len(frequency) + 1] * step
+    bins = np.rint(np.real(frequency) * n_cycle / rate).astype(int)
+    return np.asarray(np.fft.rfft(samples, DRIVE_OVERSAMPLING * n_cycle)[bins] * step)
 
 
 def anti_alias(frequency: Array, rate: float) -> Array:

@@ -18,12 +18,18 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_netcdf_name
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.foreign.limits import reading
-from acoustube.base.foreign.results import settings_in
+from acoustube.base.foreign.results import open_result, settings_in
 from acoustube.base.names import PATH, PATHS
 from acoustube.base.netcdf import write_dataset
 from acoustube.base.version import __version__
 from acoustube.recordings.checks import check_statements
-from acoustube.recordings.cycles import LABELS, assemble, own_attributes, read_own_netcdf
+from acoustube.recordings.cycles import (
+    ADVICE,
+    LABELS,
+    assemble,
+    own_attributes,
+    read_own_netcdf,
+)
 from acoustube.recordings.formats import KINDS, load
 from acoustube.recordings.tables import Note, separate_known
 
@@ -69,8 +75,9 @@ def read(
         labels (cycle): those of known quantities, and all arrays of one value per cycle;
         coordinates ``cycle`` and ``time`` in s. Attributes: ``sampling_rate`` in Hz, ``source``,
         ``file``, ``warnings`` (by line). A file of :func:`write` is returned as it was written if
-        no other argument is given and there is no sidecar file; else its attributes are kept. The
-        mean error of the thermometer that it states is zero if the temperature is given.
+        no other argument is given and there is no sidecar file; else its attributes and its
+        variables of one value per cycle are kept, except those that are given. The mean error of
+        the thermometer that it states is zero if the temperature is given.
 
     Raises
     ------
@@ -114,24 +121,34 @@ def read(
                 "it"
             )
         found = assemble(path, known | named | over, others, labels, notes)
-        return _with_own(path, found, own, "temperature" in over) if own else found
+        elsewhere = {*named, *labels, *(["temperature"] if "temperature" in over else [])}
+        return _with_own(path, found, own, elsewhere) if own else found
 
 
-def _with_own(
-    path: Path, data: xr.Dataset, own: dict[str, Any], given_temperature: bool
-) -> xr.Dataset:
-    """Return a recording with the attributes of its file, which acoustube wrote, where they hold.
+def _with_own(path: Path, data: xr.Dataset, own: dict[str, Any], elsewhere: set[str]) -> xr.Dataset:
+    """Return a recording with what its file states, which acoustube wrote, where it holds.
 
-    The error of the thermometer is not that of a given temperature.
+    These are its attributes, and its variables of one value per cycle as they were written, except
+    those of the names stated `elsewhere`. The error of the thermometer is not that of a given
+    temperature.
     """
     notes = f"{own.get('warnings', '')}\n{data.attrs['warnings']}".split("\n")
     kept = own | {
         "sampling_rate": data.attrs["sampling_rate"],
         "warnings": "\n".join(dict.fromkeys(note for note in notes if note)),
     }
-    if given_temperature and "rangefinder" in own:
+    if "temperature" in elsewhere and "rangefinder" in own:
         stated = settings_in(own["rangefinder"], path) | {"temperature_bias": 0.0}
         kept["rangefinder"] = json.dumps(stated)
+    whole = open_result(path, ADVICE)
+    each = [
+        name for name, one in whole.variables.items()
+        if one.dims == ("cycle",) and one.size == data.sizes["cycle"] and name not in elsewhere
+    ]  # fmt: skip
+    if each:
+        data = data[[n for n in data.data_vars if n in elsewhere or n in ("signal", "temperature")]]
+        data = data.assign({name: whole.variables[name] for name in each})
+        data = data.set_coords([name for name in each if name in whole.coords])
     data = data.assign_attrs(kept)
     check_statements(path, data, LABELS)
     return data

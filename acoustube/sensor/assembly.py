@@ -19,7 +19,12 @@ from acoustube.base.types import Array
 from acoustube.base.units import KHZ
 from acoustube.inversion import Library, Wrap
 from acoustube.ranging import Rangefinder
-from acoustube.ranging.analogue import REFLECTOR_SPACING, anti_alias, sent_spectrum
+from acoustube.ranging.analogue import (
+    REFLECTOR_SPACING,
+    anti_alias,
+    oversampling,
+    sent_spectrum,
+)
 from acoustube.sensor.cycles import Parts, Shape
 from acoustube.sensor.network import Constants, Entry, Pair
 from acoustube.sensor.tables import PressTables, press_tables
@@ -45,6 +50,8 @@ REFLECTORS_AT_ONCE = 256
 """Number of the clutter's reflectors that are computed at once, in double precision."""
 TAPER = 0.1
 """Fraction of the band over which each of its ends is tapered."""
+QUIET = 2.0
+"""Time left after a cycle, times the width in Hz of a taper: until then the band may ring."""
 
 
 def assembled(
@@ -76,15 +83,15 @@ def assembled(
     """
     r, air = rangefinder, air_at(temperature)
     stretch = air.sound_speed / library.sound_speed
-    period = next_fast_len(r.n_samples, real=True)
-    step = r.sampling_rate / period
-    damping = log(WRAPAROUND_ATTENUATION) * step
-    grid = np.arange(1, period // 2 + 1) * step
-    damped = grid - 0.5j * damping / pi
-    received = sent_spectrum(r, damped, r.sampling_rate, period, damping)
-    received = received * r.resonator(damped) ** 2 * anti_alias(grid, r.sampling_rate)
-    received *= np.exp(-2j * pi * damped * r.lead)
-    inside = _band(grid, received, (library.band[0] * stretch, library.band[1] * stretch))
+    available = (library.band[0] * stretch, library.band[1] * stretch)
+    every = oversampling(r)
+    rate, n = every * r.sampling_rate, every * r.n_samples
+    _, _, inside = _received(r, rate, n, available)
+    # What the tapered band rings before an echo must not enter the end of the cycle, which grows.
+    quiet = QUIET * n / (TAPER * inside.sum())
+    period = next_fast_len(n + int(np.ceil(quiet)), real=True)
+    damped, received, inside = _received(r, rate, period, available)
+    damping = -2 * pi * float(damped[0].imag)
     damped = damped[inside]
     press = press_tables(library, damped, stretch, tolerance)
     if wrap is None:
@@ -93,7 +100,7 @@ def assembled(
         tube = _wrapped(library, press, air, damped, r, length, wrap)
     given = len(damped), r.clutter, length, tube_seed
     clutter, whole = _clutter_beyond(tube.phase, *given)
-    scale = r.gain * received[inside] * r.sampling_rate * _taper(int(inside.sum()))
+    scale = r.gain * received[inside] * rate * _taper(int(inside.sum()))
     growth = np.exp(damping * np.arange(r.n_samples) / r.sampling_rate)
     constants = Constants(
         _float32(tube.tables.values), _float32(tube.decay), _float32(tube.turn), _float32(clutter),
@@ -116,12 +123,31 @@ def assembled(
     shape = Shape(
         tuple(int(n) for n in tables.number.ravel()), tables.modes, period, r.n_samples,
         int(np.flatnonzero(inside)[0]) + 1, tube.ends, complex(r.face_reflection), tube.places,
+        every,
     )  # fmt: skip
     if wrap is None:
         return tables, shape, parts, None
     straight = _straight(library, press, air, damped, r, length)
     bent = tube.untouched + whole - straight.untouched - _clutter_beyond(straight.phase, *given)[1]
     return tables, shape, parts, _pair(bent)
+
+
+def _received(
+    r: Rangefinder, rate: float, period: int, available: tuple[float, float]
+) -> tuple[Complex, Complex, NDArray[np.bool_]]:
+    """Return complex frequencies in Hz, the spectrum received there, and those of the band.
+
+    The available range of frequencies and the rate of the computed samples are in Hz. The results
+    are of shape (period // 2,).
+    """
+    step = rate / period
+    damping = log(WRAPAROUND_ATTENUATION) * step
+    grid = np.asarray(np.arange(1, period // 2 + 1) * step, float)
+    damped = grid - 0.5j * damping / pi
+    received = sent_spectrum(r, damped, rate, period, damping)
+    received = received * r.resonator(damped) ** 2 * anti_alias(grid, rate)
+    received *= np.exp(-2j * pi * damped * r.lead)
+    return damped, received, _band(grid, received, available)
 
 
 class _Tube(NamedTuple):

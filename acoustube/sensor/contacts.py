@@ -149,8 +149,8 @@ def _path(tables: PressTables, diameter: float | None) -> tuple[Array, Array]:
     for tool in (int(low), int(high)):
         n = int(np.isfinite(tables.depths[tool]).sum())
         paths.append((tables.depths[tool, :n], tables.forces[tool, :n]))
-    depth = paths[0][0]
-    depth = depth[depth <= paths[1][0][-1]]
+    depth = np.unique(np.concatenate([path[0] for path in paths]))
+    depth = depth[depth <= min(path[0][-1] for path in paths)]
     forces = [np.interp(depth, *path) for path in paths]
     return depth, (1 - weight) * forces[0] + weight * forces[1]
 

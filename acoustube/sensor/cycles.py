@@ -36,7 +36,7 @@ class Shape:
     modes : int
         Number of modes that propagate between contacts.
     period, n_samples : int
-        Number of samples of the cyclic time in which a cycle is computed, and of the cycle.
+        Number of computed samples of the cyclic time, and of samples of the cycle.
     first_bin : int
         Index of the band's first frequency in the spectrum.
     ends : tuple of float
@@ -47,6 +47,8 @@ class Shape:
     places : int
         Number of places along a wrapped tube at which the scattering of contacts is tabulated; 1
         for a straight tube.
+    every : int
+        Number of computed samples for each one of the cycle; 1 if the carrier is not aliased.
     """
 
     number: tuple[int, ...]
@@ -57,6 +59,7 @@ class Shape:
     ends: tuple[float, float]
     face: complex
     places: int = 1
+    every: int = 1
 
 
 class Parts(NamedTuple):
@@ -135,7 +138,8 @@ def _voltage(shape: Shape, parts: Parts, band: jax.Array) -> jax.Array:
     spectrum = jnp.zeros((len(band), shape.period // 2 + 1), jnp.complex64)
     columns = slice(shape.first_bin, shape.first_bin + band.shape[1])
     spectrum = spectrum.at[:, columns].set(band)
-    return jnp.fft.irfft(spectrum, shape.period)[:, : shape.n_samples] * parts.growth[None]
+    end = shape.every * shape.n_samples
+    return jnp.fft.irfft(spectrum, shape.period)[:, : end : shape.every] * parts.growth[None]
 
 
 def counts_of(

@@ -256,7 +256,8 @@ def process(
     median, which is robust against a few echoes. It is smaller there than at an echo, because noise
     alone is rectified (:data:`NOISE_RATIO_RECTIFIED`); the stated deviation is corrected for that,
     and includes the effect of sampling. The slope of a compressed pulse's envelope is that of one
-    quadrature component with and without an echo (Rice), so that no correction is needed.
+    quadrature component with and without an echo (Rice), so that no correction is needed. An echo
+    with a flat top, of an even burst longer than the filter, scatters over it by more than stated.
     """
     time, pressure = _check_signal(time, pressure)
     _check_rows(temperature, pressure.shape[:-1])
