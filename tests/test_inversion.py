@@ -28,7 +28,7 @@ from acoustube.inversion import (
 from acoustube.inversion.coupled_network import coupled_echo
 from acoustube.inversion.detection import _limit, limits_along
 from acoustube.inversion.joints import Joined
-from acoustube.inversion.likelihood import Weights, deviance_of, echo_of
+from acoustube.inversion.likelihood import Weights, deviance_of, echo_of, weights
 from acoustube.inversion.model_error import restricted_deviance
 from acoustube.inversion.network import Waves, echo
 from acoustube.inversion.paths import StraightPath
@@ -247,6 +247,57 @@ def test_jacobian_is_that_of_differences(model, places):
         far, near = (value(start + s * e)[0][0] - value(start - s * e)[0][0] for s in (2, 1))
         difference = (8 * near - far) / (12 * step)
         assert np.abs(jacobian[i] - difference).max() < 1e-6 * np.abs(difference).max(), i
+
+
+def test_noise_of_few_untouched_cycles_is_part_of_the_covariance(library, base, untouched):
+    """That of 20 untouched cycles is ten times that of 200 others, from which they are subtracted.
+
+    Beyond 1 m it exceeds the clutter. With the clutter's posterior covariance the square is 8.
+    """
+    model = ForwardModel(library, base, measured_clutter(base, untouched[:20]))
+    samples, noise = base.of_cycles(record([], n_cycles=200, tube_seed=7, seed=12)["signal"].values)
+    rest = samples - model.without_presses(np.zeros((1, 6)))[0]
+    square = np.mean(np.abs(weights(model, noise, 0.0, None)(rest)) ** 2)
+    assert square == pytest.approx(1.0, abs=0.3)  # of 390 samples, and the taper takes a part
+
+
+@pytest.mark.parametrize("drifting", [False, True])
+def test_untouched_cycles_of_several_temperatures_are_moved_to_one(library, drifting):
+    """In one recording or two: in their mean the clutter at a temperature between is missing."""
+    free, known = [], Rangefinder(temperature_bias=0.0)
+    for air, n in ((20.0, 50), (21.0, 50), (20.5, 20)):
+        recorded = record([], known, n_cycles=n, temperature=air, tube_seed=7, seed=int(10 * air))
+        free.append((f"{air}.nc", recorded))
+    last = free.pop()
+    if drifting:
+        parts = [one.drop_vars("cycle", errors="ignore") for _, one in free]
+        free = [("both.nc", xr.concat(parts, "cycle", data_vars="minimal"))]
+    inverter = RecordingInverter(library, Sensor(length=2.5), free, most=1)
+    ((_, found),) = inverter.groups(*last, 20, lambda: None)
+    assert not found.contacts
+    assert found.best.residual == pytest.approx(1.0, abs=0.3)
+
+
+@pytest.mark.parametrize("n_cycles", [5, 20])
+def test_rounding_without_dither_is_the_same_in_all_cycles(n_cycles):
+    """Its variance in an echo is not divided by the number of cycles, and is at most that stated.
+
+    The whole error of 1/12 count squared is in the band: 1/6 of a complex sample, in which a real
+    one of a folded band has 1/12.
+    """
+    means, echo = [], [press(5e-3, 0.5)]
+    for quantised in (True, False):
+        silent = Rangefinder(noise=0.0, drift=0.0, quantised=quantised)
+        own = Baseband(silent, RADIUS, 2.5, 20.0, MODES)
+        counts = record(echo, silent, n_cycles=n_cycles)["signal"].values
+        means.append(own.of_cycles(counts))
+    (rounded, variance), (exact, _) = means
+    highest = np.sort(np.abs(rounded - exact) ** 2)[-len(exact) // 8 :]
+    assert variance == pytest.approx(1 / 6, rel=1e-6)
+    assert 0.1 * variance < np.mean(highest) < variance
+    folded = Rangefinder(noise=0.0, sampling_rate=80e3, n_samples=1600, bits=8)
+    one = baseband_of(folded, RADIUS, 2.0, 20.0, MODES)
+    assert one.noise(n_cycles) == pytest.approx(1 / 12, rel=1e-6)
 
 
 def test_clutter_is_constant_beyond_the_temperatures_of_its_table(model):

@@ -15,7 +15,7 @@ from acoustube.inversion import Contact, Estimate, Library
 from acoustube.ranging import Rangefinder, record
 from acoustube.recordings import write
 from acoustube.runs.inversion import RecordingInverter, Sensor, read_sensor
-from acoustube.runs.inverted_cycles import inverted
+from acoustube.runs.inverted_cycles import alike, inverted
 from acoustube.runs.libraries import files
 from acoustube.runs.libraries.build import build_library
 from acoustube.runs.libraries.plan import tool_plans
@@ -143,6 +143,14 @@ def test_estimate_is_the_most_probable_contact(contacts, distance):
     assert table["true_distance"].values == pytest.approx([0.3])
     assert estimates["distance"].values == pytest.approx([distance], nan_ok=True)
     assert estimates["distance_half_width"].values == pytest.approx([0.01 * distance], nan_ok=True)
+
+
+@pytest.mark.parametrize("name", ["press", "tube", "session"])
+def test_cycles_of_another_case_specimen_or_session_are_another_group(name):
+    """The same press in other air, in another specimen or by another thermometer."""
+    data = xr.Dataset({"depth": ("cycle", np.full(7, 2e-3))}, {name: ("cycle", [*"aaabbbb"])})
+    parts = [part[name].values.tolist() for part, _ in alike(data, ["depth"], 3)]
+    assert parts == [[*"aaa"], [*"bbb"], ["b"]]
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ AFTER_CLIPPING, FADE, SETTLED = 0.1e-3, 0.2e-3, 0.3e-3
 `FADE` is the duration of the fade-in, and `SETTLED` is from its end to the first sample of the
 baseband that is used."""
 DITHER = 0.1
-"""Rms noise in counts below which the rounding error is not white."""
+"""Rms noise in counts below which the rounding error is neither white nor independent."""
 QUIET_SHARE = 0.3
 """Fraction of a cycle, at its end, from which the cycle's offset is estimated."""
 TUBE = Number(0.01, 100.0, "m")
@@ -138,6 +138,7 @@ class Baseband:
         self.speed, self.speed_by_temperature = _speeds(temperature)
         self.path = self._path(wrap)
         self.per_volt = 2**rangefinder.bits / rangefinder.full_scale
+        self._thermal = rangefinder.noise * self.per_volt  # rms in counts
         lead = np.exp(-2j * pi * self.frequency * rangefinder.lead)
         self.sent = drive * self.turn * lead
         self.gain = self.press_gain(np.zeros((1, 2)))[0][0]
@@ -222,14 +223,21 @@ class Baseband:
     def noise(self, n_cycles: int) -> float:
         """Return the variance of a baseband sample of the mean of cycles, in counts squared.
 
-        Thermal noise and quantisation error are white and independent from cycle to cycle. Without
-        noise as dither, the whole rounding error is at the frequencies of the signal, in the band.
+        Thermal noise and dithered rounding errors are white, and independent from cycle to cycle.
         """
-        sigma = self.rangefinder.noise * self.per_volt
-        variance, band = sigma**2, len(self.bins) * self.step / (self.rate / 2)
-        if self.rangefinder.quantised:
-            variance += 1 / 12 / (1.0 if sigma >= DITHER else min(band, 1.0))
-        return 2 * max(variance / n_cycles, 1e-12) * band
+        variance, band = self._thermal**2, len(self.bins) * self.step / (self.rate / 2)
+        if self.rangefinder.quantised and self._thermal >= DITHER:
+            variance += 1 / 12
+        # The bins of a folded band hold both halves, and its samples are real.
+        return 2 * self.freedom**2 * max(variance / n_cycles, 1e-12) * band + self.rounding
+
+    @property
+    def rounding(self) -> float:
+        """Variance of a baseband sample due to rounding without dither, in counts squared.
+
+        The whole rounding error is then in the band of the signal, and the same in all cycles.
+        """
+        return self.freedom / 6 * (self.rangefinder.quantised and self._thermal < DITHER)
 
     @checked(counts=Reals(ndim=2))
     def of_cycles(self, counts: NDArray[np.generic]) -> tuple[Complex, float]:
@@ -245,8 +253,8 @@ class Baseband:
         mean : ndarray
             In counts, with the rounding of weak signals corrected, (n_time,).
         variance : float
-            In counts squared: from the scatter of the cycles within the band, or from :meth:`noise`
-            for fewer than :data:`FEWEST_CYCLES` cycles.
+            In counts squared: from the scatter of the cycles within the band and :attr:`rounding`,
+            or from :meth:`noise` for fewer than :data:`FEWEST_CYCLES` cycles.
 
         Raises
         ------
@@ -260,14 +268,15 @@ class Baseband:
                 f"counts have shape {counts.shape}; give one or more cycles of {self.n_samples} "
                 "samples, those of the model"
             )
-        sigma = self.rangefinder.noise * self.per_volt * self.rangefinder.quantised
-        found = linearised(counts, sigma, int(QUIET_SHARE * counts.shape[1]))
+        dither = self._thermal * self.rangefinder.quantised
+        found = linearised(counts, dither, int(QUIET_SHARE * counts.shape[1]))
         mean = self._of_samples(found.mean)
         if n < FEWEST_CYCLES:
             return mean, self.noise(n)
         each = self._of_samples(found.deviations)
         scatter = np.sum(np.abs(each - each.mean(axis=0)) ** 2) / ((n - 1) * n * each.shape[1])
-        return mean, float(max(scatter, 0.1 * self.noise(n)))
+        least = 0.1 * (self.noise(n) - self.rounding)
+        return mean, float(max(scatter, least) + self.rounding)
 
     def ring_down(self) -> Complex:
         """Return the baseband of the ring-down from the rangefinder's parameters, (n_time,)."""

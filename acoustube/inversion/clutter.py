@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -131,8 +132,9 @@ def measured_clutter(
     Notes
     -----
     The level of the ring-down is fitted by weighted least squares. Then reflectors along the tube,
-    Gaussian a priori, are estimated by Wiener's filter. Where the clutter is far above the noise of
-    the cycles' mean, its posterior covariance is that of this noise.
+    Gaussian a priori, are estimated by Wiener's filter. What these do not explain counts as
+    ring-down. Ring-down and clutter together are the mean of the cycles, and the covariance of
+    their unknown part is that of its noise.
     """
     return reflectors(base, counts).clutter(at or base)
 
@@ -177,6 +179,16 @@ class Reflectors:
         return Clutter(tables[0], tables[1], self.ring, self.covariance)
 
 
+def mean_reflectors(parts: Sequence[Reflectors], weights: Sequence[float]) -> Reflectors:
+    """Return the weighted mean of independent estimates of one tube, as at several temperatures."""
+    share = np.asarray(weights, float) / np.sum(weights)
+    strength, ring, covariance = (
+        np.tensordot(factor, np.stack([getattr(one, name) for one in parts]), 1)
+        for factor, name in ((share, "strength"), (share, "ring"), (share**2, "covariance"))
+    )
+    return Reflectors(parts[0].places, strength, ring, covariance)
+
+
 def reflectors(base: Baseband, counts: NDArray[np.generic]) -> Reflectors:
     """Return the reflectors that :func:`measured_clutter` estimates."""
     places, shapes = _reflectors(base)
@@ -190,9 +202,7 @@ def reflectors(base: Baseband, counts: NDArray[np.generic]) -> Reflectors:
     strength = shapes.conj().T @ (inverse @ (mean - level * shape))
     scale = np.asarray(strength * _scale(base, places), complex)
     known = shapes @ strength
-    return Reflectors(
-        places, np.asarray(scale, complex), mean - known, prior - prior @ inverse @ prior
-    )
+    return Reflectors(places, np.asarray(scale, complex), mean - known, noise.astype(complex))
 
 
 def _scale(base: Baseband, places: Array) -> Array:

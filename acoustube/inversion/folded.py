@@ -77,10 +77,6 @@ class FoldedBaseband(Baseband):
         taper = np.sin(pi / 2 * np.clip((half - np.abs(offset)) / width, 0, 1)) ** 2
         return self.period // 2 + offset, taper
 
-    def noise(self, n_cycles: int) -> float:
-        """Return the variance of a real sample of the mean of cycles, in counts squared."""
-        return super().noise(n_cycles) / 4
-
     def transformed(self, spectrum: Complex) -> Complex:
         """Return the real part of the baseband in counts, (..., n_time), as complex numbers.
 

@@ -232,10 +232,7 @@ class Update:
     information: Array
 
     def joined(self, other: Update) -> Update:
-        """Return one update with the branches of both, sorted by level, best first.
-
-        The contacts of both must be the same.
-        """
+        """Return one update with the branches of two of the same contacts, sorted by level."""
         both = Update(
             self.branches.joined(other.branches),
             *(

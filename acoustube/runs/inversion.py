@@ -27,7 +27,7 @@ from acoustube.inversion import (
     Wrap,
     baseband_of,
 )
-from acoustube.inversion.clutter import Reflectors, reflectors
+from acoustube.inversion.clutter import Reflectors, mean_reflectors, reflectors
 from acoustube.inversion.model import needed_band
 from acoustube.ranging import Rangefinder
 from acoustube.recordings.reading import stated_length
@@ -46,7 +46,10 @@ COLUMNS = ("recording", "group", "contact", *CONTACT_COLUMNS)
 USUAL_LENGTH = 2.5
 """Tube length in m, assumed where neither the sensor's file nor the recording states one."""
 SAME_AIR = 0.25
-"""Largest difference of air temperature in K up to which a forward model is reused."""
+"""Largest difference of air temperature in K up to which a forward model is reused, and untouched
+cycles are averaged."""
+BLOCK = 50
+"""Number of untouched cycles in whose mean temperature the thermometer's noise is negligible."""
 LENGTH = Number(1, 1000, "cm", "length of the tube")
 
 
@@ -253,9 +256,12 @@ class RecordingInverter:
         clutter = None
         if self.untouched:
             if key not in self._reflectors:
-                cycles, free = self._untouched(path, data)
-                own = self._baseband(rangefinder, length, free, data.sizes["time"])
-                self._reflectors[key] = reflectors(own, cycles)
+                free = self._untouched(path, data)
+                parts = [
+                    reflectors(self._baseband(rangefinder, length, air, data.sizes["time"]), cycles)
+                    for cycles, air in free
+                ]
+                self._reflectors[key] = mean_reflectors(parts, [len(one) for one, _ in free])
             clutter = self._reflectors[key].clutter(base)
         model = ForwardModel(self.tool_library, base, clutter, self.sensor.priors)
         inverter = Inverter(model, self.most)
@@ -284,9 +290,12 @@ class RecordingInverter:
         own = stated_length(data)
         return self.sensor.length if own is None else own
 
-    def _untouched(self, path: Path, data: xr.Dataset) -> tuple[Any, float]:
-        """Return all untouched cycles, (n, n_samples), and their mean air temperature in degC."""
-        cycles, temperatures = [], []
+    def _untouched(self, path: Path, data: xr.Dataset) -> list[tuple[Any, float]]:
+        """Return the untouched cycles, (n, n_samples), at each air temperature in degC.
+
+        Blocks of cycles whose mean temperatures differ by :data:`SAME_AIR` or less are together.
+        """
+        found: list[tuple[Any, Any]] = []
         for source, one in self.untouched:
             if one.sizes["time"] != data.sizes["time"]:
                 raise ConfigError(
@@ -299,9 +308,17 @@ class RecordingInverter:
                     f"{source} has {own:g} samples per second and {path} {rate:g}; record both "
                     "alike"
                 )
-            cycles.append(one["signal"].values)
-            temperatures.append(one["temperature"].values - self.sensor.temperature_bias(one))
-        return np.concatenate(cycles), float(np.mean(np.concatenate(temperatures)))
+            air = one["temperature"].values - self.sensor.temperature_bias(one)
+            for start in range(0, len(air), BLOCK):
+                part = slice(start, start + BLOCK)
+                found.append((one["signal"].values[part], air[part]))
+        groups: list[list[tuple[Any, Any]]] = []
+        for cycles, air in sorted(found, key=lambda known: float(np.mean(known[1]))):
+            if not groups or np.mean(air) - np.mean(groups[-1][0][1]) > SAME_AIR:
+                groups.append([])
+            groups[-1].append((cycles, air))
+        joined = [[np.concatenate(part) for part in zip(*group, strict=True)] for group in groups]
+        return [(cycles, float(np.mean(air))) for cycles, air in joined]
 
 
 def check_band(library: Library, base: Baseband) -> None:

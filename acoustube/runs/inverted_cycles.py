@@ -17,6 +17,8 @@ from acoustube.runs.inversion import RecordingInverter
 
 LEVELS = 0.68, 0.9
 """Probabilities of the central intervals: to two digits those of the trained estimators."""
+APART = "press", "tube", "session"
+"""Labels of a dataset whose cycles are not in one group: air, clutter or thermometer may differ."""
 
 
 def inverted(
@@ -79,10 +81,16 @@ def inverted(
 def alike(data: xr.Dataset, labels: Sequence[str], size: int) -> Iterator[tuple[xr.Dataset, float]]:
     """Yield groups of consecutive cycles with equal labels, and the finished fraction of cycles.
 
-    A group has at most `size` cycles. A label that is nan counts as -1, which no other label is.
+    A group has at most `size` cycles, of one case, specimen and session where these are stated. A
+    label that is nan counts as -1, which no other label is.
     """
-    values = np.stack([np.nan_to_num(data[name].values.astype(float), nan=-1.0) for name in labels])
-    n = data.sizes["cycle"]
+    columns = [np.nan_to_num(data[name].values.astype(float), nan=-1.0) for name in labels]
+    columns += [
+        np.unique(data[name].values, return_inverse=True)[1]
+        for name in APART
+        if name in data and data[name].dims == ("cycle",)
+    ]
+    values, n = np.stack(columns), data.sizes["cycle"]
     edges = [0, *(1 + np.flatnonzero(np.any(np.diff(values, axis=1) != 0, axis=0))), n]
     for first, last in pairwise(edges):
         for start in range(int(first), int(last), size):
