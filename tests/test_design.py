@@ -43,9 +43,15 @@ from acoustube.runs.design import choice as choosing
 from acoustube.runs.design import run as running
 from acoustube.runs.design import search as searching
 from acoustube.runs.design import tubes as making
-from acoustube.runs.design.candidates import Candidate, Choice, choices_of, rangefinder_of
+from acoustube.runs.design.candidates import (
+    Candidate,
+    Choice,
+    choices_of,
+    rangefinder_of,
+    suits,
+)
 from acoustube.runs.design.files import config_toml
-from acoustube.runs.design.parts import ranges_of
+from acoustube.runs.design.parts import pairs_of, ranges_of
 from acoustube.runs.design.search import Search, front_of
 from acoustube.runs.design.tubes import Sounded, TubeSpec, band_of, plan_of
 from acoustube.runs.inversion import read_sensor
@@ -737,3 +743,66 @@ def test_ranges_of_parts_hold_the_sensor_and_end_where_its_errors_grow():
         low, high = ranges[name]
         assert low <= value <= high
         assert high > low
+
+
+@pytest.mark.slow
+def test_ranges_of_parts_end_at_the_sampling_rate_and_at_the_shortest_chirp():
+    """Beyond 97 / 2.3 kHz and below 3 periods of the bandwidth a drive is not inverted."""
+    design = DesignGoal(goal=Goal(forces_n=(4, 90)), variables=Variables(carrier_khz=(15, 42)))
+    for choice, carrier, cycles in (
+        (Choice("resonant", 14.0, 0.0, 97e3, 12, 1), 40e3, 13.0),
+        (Choice("resonant", 4.0, 8e3, 200e3, 12, 1), 30e3, 12.0),
+    ):
+        one = Candidate(
+            tube=TubeSpec(7.9, 1.6, 35.0), ends=1, found=None, score=0.0,
+            rangefinder=rangefinder_of(design, carrier, cycles, choice),
+        )  # fmt: skip
+        ranges = ranges_of(design, [analytic()], one)
+        for width in ranges.get("bandwidth (kHz)", (0.0,)):
+            assert suits(carrier, cycles, choice._replace(bandwidth=1e3 * width))
+        for end in ranges["carrier (kHz)"]:
+            assert suits(1e3 * end, cycles, choice)
+
+
+@pytest.mark.slow
+def test_pairs_of_a_sensor_with_two_ends_lie_beyond_the_ring_down_of_the_one():
+    design = DesignGoal(goal=Goal(forces_n=(4, 90), nearest_m=0.05), variables=Variables())
+    tube, pairs = passing(), {}
+    for ends in (1, 2):
+        choice = Choice("resonant", 14.0, 0.0, 200e3, 12, ends)
+        one = Candidate(
+            tube=TubeSpec(7.9, 1.6, 35.0), ends=ends, found=None, score=0.0,
+            rangefinder=rangefinder_of(design, 40e3, 13.0, choice),
+        )  # fmt: skip
+        one = searching.evaluated(design, searching.known_of(design, [tube], 35.0), one)
+        pairs[ends] = pairs_of(design, [tube], one)
+    np.testing.assert_array_equal(pairs[2].place, pairs[1].place)
+
+
+@pytest.mark.parametrize(
+    ("goal", "carrier", "cycles"),
+    [({}, 40e3, 13.0), ({}, 10e3, 50.0), ({"reach_m": 10.0, "temperature_c": -19.0}, 40e3, 13.0)],
+)
+def test_cycle_of_a_design_contains_the_whole_echo_of_the_tubes_end(goal, carrier, cycles):
+    """For drives of up to 5 ms and cold air too, which a press near the end needs."""
+    design = DesignGoal(goal=Goal(**goal), variables=Variables(cycles=(3, 50)))
+    choice = Choice("resonant", 14.0, 0.0, 200e3, 12, 1)
+    r = rangefinder_of(design, carrier, cycles, choice)
+    base = Baseband(r, RADIUS, design.goal.reach_m, design.goal.temperature_c, ("00",))
+    flight = 2 * design.goal.reach_m / base.air.sound_speed
+    assert base.window[-1] > flight + r.drive.duration + 0.5e-3
+
+
+@pytest.mark.parametrize("temperature", [-20.0, 60.0])
+def test_errors_are_predicted_at_the_ends_of_the_range_of_temperatures(temperature):
+    """As half a kelvin within; `--robust` ends there for goals within 10 K of them."""
+    inside = temperature - np.sign(temperature) * 0.5
+    at, near = (
+        information([analytic()], contacts([0.5], [20.0]), temperature=t).products[0, 0, 2, 2]
+        for t in (temperature, inside)
+    )
+    np.testing.assert_allclose(at, near, rtol=0.02)
+    found = predict_pairs(
+        [passing()], pair_contacts(), electronics_of(Rangefinder()), 0.15, temperature=temperature
+    )
+    assert np.all(np.isfinite(found.force))

@@ -18,10 +18,17 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
 from acoustube.inversion import Library
 from acoustube.inversion.twin import Band, Group, Measured, Press, fit_material, fit_twin
-from acoustube.inversion.twin.background import _far_end, _templates
-from acoustube.inversion.twin.estimate import _quantised_levels, _rounding
+from acoustube.inversion.twin.background import _far_end, _scatter, _templates, _variations
+from acoustube.inversion.twin.estimate import (
+    _first_prior,
+    _quantised_levels,
+    _rounding,
+    _windowed,
+)
 from acoustube.inversion.twin.fit import Data, Point, Prior, normal_equations, solve
 from acoustube.inversion.twin.model import LOCAL, NOMINAL_RADIUS, SHARED, EchoModel
+from acoustube.inversion.twin.recorded import mean_of
+from acoustube.inversion.twin.starts import _placed
 from acoustube.ranging import Burst, Rangefinder, blockage, digitise, response
 from acoustube.ranging.analogue import within
 from acoustube.recordings import read
@@ -34,9 +41,9 @@ from acoustube.runs.sensor_file import twin_settings
 from acoustube.runs.sweep.cycles import Recipe, _reflectors, in_session
 from acoustube.runs.sweep.dataset import rangefinder_in
 from acoustube.runs.twin import _check_untouched, _converter, read_recordings
-from acoustube.runs.twin_calibration import is_twin, thermometer
-from acoustube.runs.twin_file import _material_parameters
-from acoustube.runs.twin_pressed import LABELS, _state, presses_of
+from acoustube.runs.twin_calibration import is_twin, processing_of, thermometer
+from acoustube.runs.twin_file import _material_parameters, time_zero_note
+from acoustube.runs.twin_pressed import LABELS, _check_starts, _state, presses_of
 from acoustube.runs.twin_sessions import recipe_settings
 from acoustube.waves.network import at_sound_speed
 
@@ -401,6 +408,22 @@ def test_ground_is_determined_by_presses_of_stated_depth_and_others_of_stated_fo
     assert found.compliance.deviation < 0.2 * found.compliance.value
 
 
+@pytest.mark.parametrize("wrong", [10.0, 0.1, -1.0])
+def test_press_whose_force_is_left_out_does_not_change_the_ground(wrong):
+    """One of seven labels of force is wrong; its depth still counts."""
+    known, random, presses = tool(young_modulus=1.5e6), np.random.default_rng(0), []
+    for i, d in enumerate(np.linspace(2e-3, 6e-3, 7)):
+        force = float(known.force_at(d))
+        stated = float(ZERO + d + COMPLIANCE * force + 1e-5 * random.normal())
+        force *= wrong if i == 2 else float(np.exp(0.01 * random.normal()))
+        presses.append(Press(known, float(d), 1e-5, stated, force))
+    found = fit_material(presses)
+    assert list(found.left_out) == [2]
+    assert found.yields
+    assert found.compliance.value == pytest.approx(COMPLIANCE, rel=0.05)
+    assert found.zero.value == pytest.approx(ZERO, abs=5e-5)
+
+
 def test_modulus_and_hardness_are_determined_together():
     """For a wall a third as stiff as the library's."""
     known = tool(young_modulus=1.5e6)
@@ -490,6 +513,19 @@ def test_twin_is_a_calibration(made):
     (folder / "silent.toml").write_text("length_cm = 200\n")
     assert thermometer(folder / "silent.toml") == 0.0
     assert not is_twin(folder / "plain.toml")
+
+
+@pytest.mark.slow
+def test_calibration_of_a_twin_is_for_its_carrier(made, tmp_path):
+    """Of 60 kHz: with a template of 42 kHz distances are 100 mm off."""
+    text = (made[0] / "left.toml").read_text()
+    high = {"resonance": 60e3, "frequency": 60e3, "cycles": 13.0}
+    (tmp_path / "high.toml").write_text(with_values(text, high))
+    known, settings = chosen(str(tmp_path / "high.toml"), None)
+    assert settings.frequency == 60e3
+    assert processing_of(tmp_path / "high.toml").frequency == 60e3
+    assert known.distance_rmse < 3e-3
+    assert known.slope.value == pytest.approx(1.0, abs=0.005)
 
 
 SESSIONS = 5
@@ -773,6 +809,112 @@ def test_closure_beyond_the_end_of_the_tube_is_refused(recorded, tmp_path):
     for length in (None, 1.59):
         with pytest.raises(ConfigError, match="ring-down of the untouched cycles"):
             fit_twin(closed, silent, 200e3, length=length)
+
+
+@pytest.mark.parametrize("late", [-0.28e-3, 0.0, 0.2e-3])
+def test_common_delay_of_the_echoes_is_that_of_the_trigger(band, late):
+    """At the starting point. The temperature takes what is proportional to the distance.
+
+    A wrong label, by 30 mm, changes neither. To 8 us, two steps of the delays that are tried.
+    """
+    model = EchoModel(band, PLACES, np.full(len(PLACES), REPORTED), LENGTH / 2)
+    moved = np.zeros((len(PLACES), len(LOCAL)))
+    moved[3, 0] = 30e-3
+    values = model.value(true_parameters() + shared(trigger=late), moved)
+    first = _first_prior(band, len(PLACES))
+    data = _windowed(model, values, np.ones(len(PLACES)))
+    known = true_parameters() + shared(temperature_offset=REPORTED - AIR)
+    start = _placed(model, data, first, known)
+    assert abs(start.shared[SHARED.index("trigger")] - late) < 8e-6
+    assert start.shared[SHARED.index("temperature_offset")] == pytest.approx(AIR - REPORTED, abs=1)
+    assert np.abs(start.local[:, 0] - moved[:, 0]).max() < 3e-3
+
+
+@pytest.mark.slow
+def test_drive_before_the_first_sample_changes_neither_temperature_nor_face():
+    """By 0.2 ms: as if each position were stated 34 mm too large. Three deviations."""
+    closed = [
+        Group(cycles_of(voltage([blockage(SIDES, p + e)]), k)[:, 40:], REPORTED, float(p), f"{k}")
+        for k, (p, e) in enumerate(zip(PLACES, MISPLACED, strict=True))
+    ]
+    free = Group(cycles_of(voltage([]), 99)[:, 40:], REPORTED, source="free")
+    found = fit_twin(closed, free, SENSOR.sampling_rate)
+    assert found.value("trigger") == pytest.approx(-40 / SENSOR.sampling_rate, abs=2e-6)
+    for name, true in (("temperature_offset", AIR - REPORTED), ("face_real", 0.35)):
+        assert abs(found.value(name) - true) < 3 * found.deviation(name), name
+        assert found.deviation(name) < 0.3, name
+
+
+@pytest.mark.parametrize(
+    ("start", "trigger", "words"),
+    [(0.0, -2e-4, "0.200 ms before the first sample.*3.4 cm too large"),
+     (2e-4, 0.0, "0.200 ms before the first sample"), (0.0, 3e-4, "0.300 ms after time zero"),
+     (-1e-3, 0.0, None), (0.0, 2e-5, None)],
+)  # fmt: skip
+def test_drive_before_the_first_sample_is_noted(start, trigger, words):
+    """Other commands take the first sample for the drive's start, since `lead` is not negative."""
+    twin = SimpleNamespace(band=SimpleNamespace(start=start), value={"trigger": trigger}.get)
+    note = time_zero_note(SimpleNamespace(twin=twin))
+    assert re.search(words, note) if words else note == ""
+
+
+@pytest.mark.parametrize("true", [0.0, 0.3, 1.0, 3.0])
+def test_deviation_of_a_scatter_contains_that_of_the_noise(true):
+    """Of ten groups of 20 cycles with noise of 1: the rms error is half to 1.15 of the stated."""
+    random, found = np.random.default_rng(0), []
+    means = [SimpleNamespace(wobble=1.0)] * 10
+    for _ in range(300):
+        values = [random.normal(0, np.hypot(true, 1.0), 20) for _ in means]
+        found.append(_scatter(values, means, 1.0))
+    error = np.sqrt(np.mean([(one.value - true) ** 2 for one in found]))
+    assert 0.5 < error / np.mean([one.deviation for one in found]) < 1.15
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.15, 0.23, 0.3, 0.6])
+def test_deviation_of_a_noise_contains_what_rounding_hides(noise):
+    """Of 40 offsets between two counts: the rms error is at most 1.3 of the stated deviation."""
+    random, found = np.random.default_rng(0), []
+    none = SimpleNamespace(delays=np.zeros(0), gains=np.zeros(0), wobble=0.0)
+    for offset in np.linspace(0, 1, 40):
+        each = [
+            Group(np.rint(offset + random.normal(0, noise, (10, 500))).astype(int), REPORTED)
+            for offset in random.normal(2048 + offset, 0.3, 5)
+        ]
+        found.append(_variations(each[0], each[1:], [none], 42e3)["noise"])
+    error = np.sqrt(np.mean([(one.value - noise) ** 2 for one in found]))
+    assert error < 1.3 * np.mean([one.deviation for one in found])
+
+
+def test_pressed_cycles_that_begin_at_another_time_are_refused():
+    found = SimpleNamespace(twin=SimpleNamespace(band=SimpleNamespace(start=-1e-3, rate=200e3)))
+    recordings = [
+        (Path(f"{start}.nc"), xr.Dataset(coords={"time": start + np.arange(9) / 200e3}))
+        for start in (-1e-3, 0.0)
+    ]
+    _check_starts(found, recordings[:1])
+    with pytest.raises(ConfigError, match=r"0.0.nc begins at 0 ms .* closed cycles at -1 ms"):
+        _check_starts(found, recordings)
+
+
+def test_session_whose_noise_rounding_hides_is_left_out_for_it(sessions, tmp_path):
+    """A noise of 0 has no logarithm."""
+    hidden = tmp_path / "hidden.toml"
+    hidden.write_text(with_values(sessions[0].read_text(), {"noise_v": 0.0}))
+    assert "noise_v" not in [one.name for one in recipe_settings([hidden, sessions[1]])[1]]
+    assert "noise_v" in [one.name for one in recipe_settings([hidden, *sessions[1:3]])[1]]
+
+
+def test_scatter_of_gains_by_noise_alone_is_the_stated_one():
+    """Of cycles of 7.5 ms, which the band pads by 28 %; the draws determine it to 6 %."""
+    n, random = 1500, np.random.default_rng(0)
+    band = Band(200e3, 0.0, n, 42e3, 0.8e-3)
+    time = np.arange(n) / band.rate
+    echo = 300 * np.exp(-(((time - 3e-3) / 3e-4) ** 2)) * np.sin(2 * np.pi * 42e3 * time)
+    means = [mean_of(band, echo + random.normal(0, 3, (30, n))) for _ in range(20)]
+    phases = [2 * np.pi * band.carrier * one.delays for one in means]
+    scatter = [np.var([*one.gains, *(1 + own)], ddof=2)
+               for one, own in zip(means, phases, strict=True)]  # fmt: skip
+    assert np.mean(scatter) == pytest.approx(np.mean([one.wobble for one in means]), rel=0.15)
 
 
 @pytest.mark.slow

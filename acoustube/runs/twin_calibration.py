@@ -14,7 +14,8 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.units import CM, MM, PERCENT, US
 from acoustube.ranging import Burst, Chirp, Rangefinder, Tones, blockage, record
-from acoustube.ranging.analogue import within
+from acoustube.ranging.analogue import oversampling, within
+from acoustube.ranging.rangefinder import Drive
 from acoustube.runs.sensor_file import (
     KIND,
     finite_numbers,
@@ -88,8 +89,9 @@ def twin_calibration(path: Path) -> Calibration:
 
 def _calibrated(own: Rangefinder, trigger: float, common: Mapping[str, Any]) -> Calibration:
     """Return the calibration of a rangefinder whose drive starts `trigger` s after time zero."""
-    band = np.array([100.0, OUTSIDE * own.sampling_rate / 2])
+    band = np.array([100.0, OUTSIDE * oversampling(own) * own.sampling_rate / 2])
     reach = LEAST_SPEED * own.n_samples / own.sampling_rate / 2
+    how = _processing_for(own.drive)
     places = np.arange(FIRST, min(common["length"] - BEFORE_END, reach), APART)
     if len(places) < FEWEST:
         raise ConfigError(
@@ -106,7 +108,7 @@ def _calibrated(own: Rangefinder, trigger: float, common: Mapping[str, Any]) -> 
     cycles = np.concatenate([one["signal"].values for one in shut])
     for sigmas in SIGMAS:
         found = signals.calibrate(
-            time, cycles, np.repeat(places, CYCLES), free["signal"].values,
+            time, cycles, np.repeat(places, CYCLES), free["signal"].values, how,
             temperature=AIR, untouched_temperature=AIR, sigmas=sigmas,
         )  # fmt: skip
         if found.false_alarms <= FALSE_ALARMS:
@@ -155,7 +157,7 @@ def processing_of(sensor: Path | None) -> Processing:
     Parameters
     ----------
     sensor : Path or None
-        File of a sensor. The settings are those of the sleeve paper with None, and for a twin.
+        File of a sensor or a twin. The settings are those of the sleeve paper with None.
 
     Raises
     ------
@@ -163,15 +165,19 @@ def processing_of(sensor: Path | None) -> Processing:
         If the file cannot be read, or the drive has several tones, whose compressed pulse has no
         single maximum.
     """
-    document = {} if sensor is None else read_document(sensor)
-    if sensor is None or KIND in document:
+    if sensor is None:
         return Processing()
-    drive = rangefinder_in(document, sensor).drive
+    drive = rangefinder_in(read_document(sensor), sensor).drive
     if isinstance(drive, Tones):
         raise ConfigError(
             f"{sensor}: the compressed pulse of kind = 'Tones' has no single maximum, by which an "
             "echo would be located; use Chirp here, or acoustube invert"
         )
+    return _processing_for(drive)
+
+
+def _processing_for(drive: Drive) -> Processing:
+    """Return the settings to process echoes of a burst or a chirp with."""
     assert isinstance(drive, Burst | Chirp)
     own = Processing(
         frequency=drive.frequency, cutoff=min(LOW_PASS, drive.frequency / 2),

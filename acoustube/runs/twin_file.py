@@ -14,7 +14,7 @@ from acoustube.base.files import toml_array
 from acoustube.base.units import CM, KHZ, MM, MPA, MS, PERCENT, US
 from acoustube.base.version import __version__
 from acoustube.inversion.twin.background import Measured
-from acoustube.inversion.twin.estimate import PRIORS, radius
+from acoustube.inversion.twin.estimate import PRIORS, SPEED, radius
 from acoustube.inversion.twin.material import PRIOR_COMPLIANCE, PRIOR_MODULUS, PRIOR_ZERO, Material
 from acoustube.inversion.twin.model import NOMINAL_FREQUENCY, NOMINAL_RADIUS, SHARED
 from acoustube.ranging import Burst, Rangefinder
@@ -25,6 +25,8 @@ from acoustube.tube import shore_from_shear_modulus
 MOST_REFLECTED = 0.98
 """Largest magnitude of the reflection coefficient of a rangefinder's face; the posterior's mean may
 be larger where repetitions of echoes hardly determine it."""
+AT_ZERO = 4e-5
+"""Time in s between drive and time zero, or the first sample, from which a note states it."""
 DETERMINED = 0.5
 """Ratio of posterior to prior standard deviation below which a parameter is determined."""
 
@@ -312,9 +314,16 @@ def _correlation(found: FittedSensor) -> Any:
 
 
 def time_zero_note(found: FittedSensor) -> str:
-    """Return a note if the drive does not start at time zero; empty otherwise."""
+    """Return a note if the drive starts before the record or not at time zero; empty otherwise."""
     late = found.twin.value("trigger")
-    if abs(late) < 4e-5:
+    early = found.twin.band.start - late
+    if early >= AT_ZERO:
+        return (
+            f"the drive starts {MS * early:.3f} ms before the first sample, which invert and "
+            f"dataset take for its start, or the stated positions are {CM * SPEED * early / 2:.1f} "
+            "cm too large; record from the start of the drive, and measure from the face"
+        )
+    if abs(late) < AT_ZERO:
         return ""
     return (
         f"the drive starts {MS * late:.3f} ms after time zero of the recordings; if they begin "

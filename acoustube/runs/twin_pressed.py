@@ -11,7 +11,7 @@ import xarray as xr
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.report import Reporter
-from acoustube.base.units import CM, MM, PERCENT
+from acoustube.base.units import CM, MM, MS, PERCENT
 from acoustube.inversion import Contact, Inversion, Library, Priors
 from acoustube.inversion.estimate import MISFIT
 from acoustube.inversion.twin import Material, Press, fit_material
@@ -62,7 +62,8 @@ def fitted_material(
     Raises
     ------
     ConfigError
-        If a recording cannot be used, or the library has another bore or lacks a tool.
+        If a recording cannot be used or begins at another time than the closures', or the library
+        has another bore or lacks a tool.
     """
     known = open_library(library)
     _check_bore(found, known, library, report)
@@ -70,6 +71,7 @@ def fitted_material(
     inverters: dict[tuple[int, ...], RecordingInverter] = {}
     states: list[PressedState] = []
     recordings = read_recordings(pressed, options, pulse_at)
+    _check_starts(found, recordings)
     with report.progress(check) as show:
         for path, data in recordings:
             labels = [name for name in LABELS if name in data]
@@ -88,6 +90,18 @@ def fitted_material(
                 show(path.name, share)
     material = fit_material([state.press for state in states])
     return material, tuple(states)
+
+
+def _check_starts(found: FittedSensor, recordings: Sequence[tuple[Path, xr.Dataset]]) -> None:
+    """Raise unless recordings begin at the time of the closures' relative to the send pulse."""
+    band = found.twin.band
+    for path, data in recordings:
+        start = float(data["time"].values[0])
+        if abs(start - band.start) > 0.5 / band.rate:
+            raise ConfigError(
+                f"{path} begins at {MS * start:.4g} ms from the send pulse and the closed cycles "
+                f"at {MS * band.start:.4g} ms; record all alike"
+            )
 
 
 def presses_of(

@@ -166,14 +166,17 @@ def _known(
 ) -> tuple[Array, Array] | None:
     """Return values and deviations of a parameter, (n,), from the n sessions that determine it.
 
-    None is returned unless n is 2 or more.
+    None is returned unless n is 2 or more. A zero has no logarithm, such as a noise that rounding
+    hides, and is left out.
     """
     found = []
     for document, path in zip(documents, paths, strict=True):
         if name in determined(document):
-            least = 1e-12 if name in LOGARITHMS else -np.inf
+            least = 0.0 if name in LOGARITHMS else -np.inf
             value = finite_numbers([document.get(name)], path, least=least)
-            found.append(value + finite_numbers([document.get(f"{name}_sd")], path))
+            deviation = finite_numbers([document.get(f"{name}_sd")], path)
+            if name not in LOGARITHMS or value[0] > 0:
+                found.append(value + deviation)
     values = np.array(found)
     return (values[:, 0], values[:, 1]) if len(found) > 1 else None
 

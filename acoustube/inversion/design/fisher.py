@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acoustube.air import air_at
+from acoustube.air import TEMPERATURES, air_at
 from acoustube.base.checks import TEMPERATURE, Optional, Several, checked
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
@@ -137,17 +137,14 @@ def information(
     priors, air = priors or Priors(), air_at(temperature)
     f, first = tubes[0].frequency, tubes[0]
     k = axial_wavenumber(0, 0, f, first.radius, air)
-    low, high = (axial_wavenumber(0, 0, f, first.radius, air_at(temperature + d))
-                 for d in (-0.5, 0.5))  # fmt: skip
-    by_heat = high - low
-    warmer = -(air_at(temperature + 0.5).sound_speed - air_at(temperature - 0.5).sound_speed)
+    by_heat, faster = by_temperature(f, first.radius, temperature)
     slope, within_range, echo, by_depth = _presses(tubes, contacts, modulus)
     by_stretch = f * np.gradient(echo, f, axis=1)
     ends = np.array([contacts.lightest, contacts.strongest]) / modulus
     span = max(np.ptp([tube.depth_at(ends) for tube in tubes]), 1e-4)
     scale = np.array([contacts.length, span]) / np.sqrt(12)
     place = np.stack([contacts.place, contacts.length - contacts.place])
-    heated = -2j * by_heat * place[..., None] * echo + warmer / air.sound_speed * by_stretch
+    heated = -2j * by_heat * place[..., None] * echo - faster * by_stretch
     same = np.ones((2, 1, 1))
     columns = np.stack([
         np.array([1, -1])[:, None, None] * scale[0] * (-2j * k * echo),
@@ -170,6 +167,29 @@ def information(
         hardness=hardness, model=model, range_grid=grid,
         range_power=np.array(light)[:, None] * np.exp(4 * k.imag * grid[:, None]),
     )  # fmt: skip
+
+
+def by_temperature(frequency: Array, radius: float, temperature: float) -> tuple[Complex, float]:
+    """Return the derivatives by temperature of wavenumber and logarithm of sound speed.
+
+    They are in 1/(m K), (n_f,), and in 1/K: differences over 1 K or, at an end of the range of
+    :func:`acoustube.air.air_at`, over half of it.
+
+    Parameters
+    ----------
+    frequency : ndarray
+        In Hz, (n_f,).
+    radius : float
+        Of the bore in m.
+    temperature : float
+        In degC.
+    """
+    coldest, warmest = TEMPERATURES
+    low, high = max(temperature - 0.5, coldest), min(temperature + 0.5, warmest)
+    cold, warm = air_at(low), air_at(high)
+    before, after = (axial_wavenumber(0, 0, frequency, radius, air) for air in (cold, warm))
+    faster = np.log(warm.sound_speed / cold.sound_speed) / (high - low)
+    return np.asarray((after - before) / (high - low), complex), float(faster)
 
 
 def _presses(

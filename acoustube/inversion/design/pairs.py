@@ -23,6 +23,7 @@ from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.inversion.design.echoes import Contacts, PressedTube, check_tools
 from acoustube.inversion.design.electronics import Electronics, weight_of
+from acoustube.inversion.design.fisher import by_temperature
 from acoustube.inversion.design.prediction import DETECTED
 from acoustube.inversion.model import Priors
 from acoustube.waves.modes import axial_wavenumber
@@ -102,9 +103,7 @@ def predict_pairs(
     priors, air = Priors(), air_at(temperature)
     f = tubes[0].frequency
     k = axial_wavenumber(0, 0, f, tubes[0].radius, air)
-    warmer = air_at(temperature + 1.0)
-    heat = axial_wavenumber(0, 0, f, tubes[0].radius, warmer) - k
-    slower = -(warmer.sound_speed - air.sound_speed) / air.sound_speed
+    heat, faster = by_temperature(f, tubes[0].radius, temperature)
     weight = weight_of(f, electronics)
     ends = np.array([contacts.lightest, contacts.strongest]) / modulus
     span = max(np.ptp([tube.depth_at(ends) for tube in tubes]), 1e-4)
@@ -122,7 +121,7 @@ def predict_pairs(
         total = echoes.sum(axis=0)
         # A stretch of frequency changes the presses, not the propagation to them.
         stretch = f * (np.gradient(echoes / turned, f, axis=1) * turned).sum(axis=0)
-        warm = (-2j * heat * z[:, None] * echoes).sum(axis=0) + slower * stretch
+        warm = (-2j * heat * z[:, None] * echoes).sum(axis=0) - faster * stretch
         columns = np.stack([
             -2j * k * echoes[0] * scale[0], by_depth[0] * scale[1],
             -2j * k * echoes[1] * scale[0], by_depth[1] * scale[1],

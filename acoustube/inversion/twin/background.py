@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from acoustube.base.checks import LENGTH, Optional, Several, checked
 from acoustube.base.types import Array
-from acoustube.inversion.twin.estimate import Twin
+from acoustube.inversion.twin.estimate import DITHERED, Twin
 from acoustube.inversion.twin.fit import SPEED
 from acoustube.inversion.twin.model import (
     LOCAL,
@@ -39,8 +39,10 @@ AROUND_END = 0.04
 AROUND, FINEST = 0.5, 2e-3
 """Length in m of tube, before and behind the part where the far end is sought, whose echoes give
 the level of noise and clutter; least length in m of that part."""
-ROUNDING = 1 / 12
-"""Variance of the rounding error in counts squared."""
+ROUNDING, HIDDEN = 1 / 12, 0.1
+"""Variance of the rounding error in counts squared. Standard deviation in counts of estimates of a
+noise below :data:`acoustube.inversion.twin.estimate.DITHERED`: the scatter of rounded samples then
+depends on where the offset lies between two counts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -278,15 +280,19 @@ def _variations(
         levels.append(quiet.mean(axis=1))
         count += quiet.size
     variance = float(np.median(variances))
-    if np.issubdtype(untouched.cycles.dtype, np.integer):
+    counts = np.issubdtype(untouched.cycles.dtype, np.integer)
+    if counts:
         variance = max(variance - ROUNDING, 0.1 * variance)
     noise = float(np.sqrt(variance))
+    hidden = HIDDEN if counts and noise < DITHERED else 0.0
     offsets = np.concatenate(levels)
     n = len(offsets)
     drift = float(offsets.std()) if n > 1 else 0.0
     error = drift / np.sqrt(max(n, 1))
     return {
-        "noise": Measured(value=noise, deviation=float(noise * np.hypot(count**-0.5, 0.1))),
+        "noise": Measured(
+            value=noise, deviation=float(np.hypot(noise * np.hypot(count**-0.5, 0.1), hidden))
+        ),
         "offset": Measured(value=float(offsets.mean()), deviation=float(error)),
         "drift": Measured(value=drift, deviation=float(drift / np.sqrt(2 * max(n - 1, 1)))),
         "jitter": _scatter([m.delays for m in means], means, 2 * pi * carrier),
@@ -307,5 +313,9 @@ def _scatter(values: Sequence[Array], means: Sequence[Means], scale: float) -> M
     total = sum(float(np.sum((v - v.mean()) ** 2)) for v, _ in known) / freedom
     noise = sum(w * (len(v) - 1) for v, w in known) / freedom
     value = float(np.sqrt(max(total - noise, 0.0)))
-    spread = float(np.sqrt(total / (2 * freedom)))
-    return Measured(value=value, deviation=max(spread, 1e-12))
+    # That of the square is proportional to the whole variance, including the noise's.
+    spread = total * float(np.sqrt(2 / freedom))
+    deviation = float(np.sqrt(spread))
+    if value > 0:
+        deviation = min(deviation, spread / (2 * value))
+    return Measured(value=value, deviation=max(deviation, 1e-12))

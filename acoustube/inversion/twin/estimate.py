@@ -21,7 +21,6 @@ from acoustube.inversion.twin.fit import (
     Normal,
     Point,
     Prior,
-    best_start,
     maximise,
 )
 from acoustube.inversion.twin.model import (
@@ -33,6 +32,7 @@ from acoustube.inversion.twin.model import (
 from acoustube.inversion.twin.noise import score_of, with_variances
 from acoustube.inversion.twin.posterior import Posterior, posterior, with_scatter
 from acoustube.inversion.twin.recorded import LEAST_CLIPPED, Band, Group, Means, band_of, mean_of
+from acoustube.inversion.twin.starts import best_start
 from acoustube.waves.scattering import Complex
 
 PRIORS = {

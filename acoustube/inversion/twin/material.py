@@ -113,8 +113,8 @@ def fit_material(presses: Sequence[Press]) -> Material:
     depth d is that of the echo, which does not depend on the modulus; without an echo it is the
     stated one. The ground yields by ``c F``: stated depths are ``d_0 + d + c F``. Both are fitted
     by linear least squares, averaged over the unknown scatter of the labels. Where no force is
-    stated, F is that of the modulus and of the depth of the echo, and the compliance has the
-    relative error of the modulus.
+    stated, or it is left out, F is that of the modulus and of the depth of the echo, and the
+    compliance has the relative error of the modulus.
     """
     moduli = np.unique([one.tool.young_modulus for one in presses])
     if len(moduli) > 1:
@@ -136,13 +136,15 @@ def fit_material(presses: Sequence[Press]) -> Material:
         one.tool.force_at(d) if np.isfinite(d) else 0.0
         for one, d in zip(presses, told, strict=True)
     ]
-    # A force that is not stated is the library's at the echo's depth, for the wall's modulus.
-    scale, *_ = _stiffness(presses, told, sure, force)
-    load = np.where(np.isfinite(force), force, np.exp(scale.value) * np.array(usual, float))
+    # A force not stated, or left out, is the library's at the echo's depth, for the wall's modulus.
+    scale, within, wrong = _stiffness(presses, told, sure, force)
+    stands_in = ~np.isfinite(force)
+    stands_in[list(wrong)] |= np.isfinite(within[list(wrong)])
+    load = np.where(stands_in, np.exp(scale.value) * np.array(usual, float), force)
     zero, compliance = _ground(told, sure, stated, load)
     yields = compliance.value > SIGNIFICANT * compliance.deviation
     known = np.isfinite(told) & np.isfinite(stated)
-    share = np.sum(load[known & ~np.isfinite(force)] ** 2) / max(np.sum(load[known] ** 2), 1e-300)
+    share = np.sum(load[known & stands_in] ** 2) / max(np.sum(load[known] ** 2), 1e-300)
     common = float(share) * compliance.value * scale.deviation
     compliance = replace(compliance, deviation=float(np.hypot(compliance.deviation, common)))
     # Without an echo the depth is the stated one, less its origin and the ground's compression.

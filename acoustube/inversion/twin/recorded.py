@@ -313,5 +313,7 @@ def mean_of(band: Band, cycles: NDArray[np.generic]) -> Means:
     scatter = float(np.sum(np.abs(basebands) ** 2)) / ((n - 1) * n * basebands.shape[1])
     floor = 1e-3 * power * band.white / n
     variance = max(scatter, floor)
-    wobble = 0.5 * noise / max(float(np.sum(np.abs(mean) ** 2)), 1e-300)
+    # Neighbouring bins, of cycles padded to the period, are correlated.
+    padded = noise * band.period / band.n_samples
+    wobble = 0.5 * padded / max(float(np.sum(np.abs(mean) ** 2)), 1e-300)
     return Means(mean, variance, *((delays, gains) if clear else (none, none)), wobble)

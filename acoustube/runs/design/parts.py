@@ -12,7 +12,7 @@ from acoustube.inversion.design import Electronics, Pairs, PressedTube, predict,
 from acoustube.inversion.design.electronics import electronics_of
 from acoustube.inversion.design.prediction import on_device, score
 from acoustube.runs.config.goal import DesignGoal
-from acoustube.runs.design.candidates import Candidate
+from acoustube.runs.design.candidates import Candidate, choice_of, suits
 from acoustube.runs.design.search import contacts_of, known_of, modulus_of
 
 WORSE = 1.1
@@ -39,13 +39,15 @@ def ranges_of(
     -------
     dict of str to (float, float)
         Lowest and highest value by the name of the part with its unit. The carrier is varied for
-        drive and transducer alike. The noise is relative to that of the sensor. The hardness is
-        varied on a table only, where it needs no further press. Each varied sensor has its own
-        calibration and library.
+        drive and transducer alike. A range ends where the drive does not suit the sampling rate, or
+        a chirp is too short for its bandwidth (:func:`acoustube.runs.design.candidates.suits`). The
+        noise is relative to that of the sensor. The hardness is varied on a table only, where it
+        needs no further press. Each varied sensor has its own calibration and library.
     """
     shore, average = candidate.tube.shore, design.goal.average
     known = on_device(known_of(design, tubes, shore))
     usual = electronics_of(candidate.rangefinder, candidate.ends, average)
+    choice = choice_of(candidate)
     start = float(score(predict(known, usual), design.goal.asked))
 
     def within(values: Array, scores: Array, own: float) -> tuple[float, float]:
@@ -72,6 +74,9 @@ def ranges_of(
         many = many._replace(**{part: own * factors})
         values = FACTORS if part == "level" else own * FACTORS * scale
         scores = score(predict(known, many), design.goal.asked)
+        drives = zip(*map(np.ravel, (many.carrier, many.cycles, many.bandwidth)), strict=True)
+        fits = [suits(f, n, choice._replace(bandwidth=width)) for f, n, width in drives]
+        scores = np.where(fits, scores, np.inf)
         found[name] = within(values, scores, 1.0 if part == "level" else own * scale)
     if design.goal.support == "table":
         shores = np.clip(shore + HARDNESSES, 10, 90)
@@ -94,7 +99,9 @@ def pairs_of(
     """
     goal = design.goal
     contacts = contacts_of(design)
-    here = contacts.place >= float(candidate.found.nearest)
+    single = electronics_of(candidate.rangefinder, 1, goal.average)
+    known = known_of(design, tubes, candidate.tube.shore)
+    here = contacts.place >= float(predict(known, single).nearest)
     here &= contacts.place + goal.separation <= goal.reach_m
     modulus = modulus_of(design, candidate.tube.shore)
     strongest = np.array([tube.force[-1] for tube in tubes])
@@ -102,7 +109,6 @@ def pairs_of(
     if here.sum() < 2 or any(tube.transmission is None for tube in tubes):
         return None
     return predict_pairs(
-        tubes, contacts.at(here), electronics_of(candidate.rangefinder, 1, goal.average),
-        goal.separation, modulus=modulus,
+        tubes, contacts.at(here), single, goal.separation, modulus=modulus,
         temperature=goal.temperature_c, hardness=goal.hardness, model=goal.model,
     )  # fmt: skip
