@@ -172,6 +172,7 @@ def test_digest_of_a_module_that_is_gone_fails(package):
         ("press", "indentation.contact"),
         ("scattering", "air"),
         ("scattering", "lumen.surface"),
+        ("scattering", "runs.surface_scattering"),
         ("scattering", "waves.scheme.problem"),
         ("scattering", "waves.scheme.cpu_kernel"),
     ],

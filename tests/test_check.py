@@ -89,12 +89,14 @@ def test_json_holds_what_could_not_be_computed(monkeypatch, capsys):
     def fails():
         raise ImportError("no [kernel]")
 
-    only(monkeypatch, fixed(1.0), Trial("broken", fails, 1.0, 0.1, "m"))
+    only(monkeypatch, fixed(1.0), Trial("broken", fails, 1.0, 0.1, "m"), fixed(np.nan))
     assert main(["check", "--json", "--quiet"]) == 1
-    found = json.loads(capsys.readouterr().out)
+    text = capsys.readouterr().out
+    found = json.loads(text)
     assert not found["passed"]
-    assert [row["passed"] for row in found["tests"]] == [True, False]
-    assert found["tests"][1]["computed"] is None
+    assert [row["passed"] for row in found["tests"]] == [True, False, False]
+    assert [row["computed"] for row in found["tests"]] == [1.0, None, None]
+    assert "NaN" not in text  # which is not JSON
     assert found["tests"][1]["problem"] == "ImportError: no [kernel]"
 
 

@@ -112,15 +112,17 @@ def test_run_cites_what_its_settings_used(given, expected, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("losses", "expected"),
+    ("losses", "solver", "expected"),
     [
-        ("none", {"air", "absorber", "grid", "scattering"}),
-        ("wall and air", {"air", "absorber", "grid", "scattering", "losses"}),
+        ("none", "time domain", {"air", "absorber", "grid", "scattering"}),
+        ("wall and air", "time domain", {"air", "absorber", "grid", "scattering", "losses"}),
+        ("wall and air", "spectral", {"air", "scattering", "losses"}),
     ],
 )
-def test_scattering_cites_its_losses(losses, expected, tmp_path):
+def test_scattering_cites_its_losses_and_its_solver(losses, solver, expected, tmp_path):
+    origin = {"title": "Scattering of duct modes by a lumen", "losses": losses, "solver": solver}
     with h5py.File(tmp_path / "s.nc", "w") as file:
-        file.attrs.update({"title": "Scattering of duct modes by a lumen", "losses": losses})
+        file.attrs.update(origin)
     assert topics_of(tmp_path / "s.nc") == expected
 
 

@@ -14,7 +14,7 @@ from refusals import refused
 
 from acoustube.air import sound_speed
 from acoustube.base.errors import ConfigError
-from acoustube.base.limits import CLEARANCE, pressed_reach
+from acoustube.base.limits import CLEARANCE, JOINED_CLEARANCE, pressed_reach
 from acoustube.base.rules import Choice, File, Number
 from acoustube.runs import simulate as simulation
 from acoustube.runs.config import (
@@ -224,6 +224,18 @@ def test_pressed_part_stays_between_probe_and_far_end():
         )  # fmt: skip
 
 
+@pytest.mark.parametrize("method", ["scattering", "spectral"])
+def test_part_computed_alone_stays_between_probe_and_far_end(method):
+    """It is longer by three quarters of an outer diameter on each side."""
+    for allowed in (9.08, 32.92):
+        assert load_config(position_cm=allowed, method=method).position_cm == allowed
+    for wrong in (9.0, 33.0):
+        refused(
+            lambda wrong=wrong: load_config(position_cm=wrong, method=method),
+            setting="position_cm", value=wrong, allowed=(9.08, 32.92),
+        )  # fmt: skip
+
+
 def test_press_is_in_the_middle_unless_placed():
     assert load_config(length_cm=60).indentation.position_cm == 30
     assert load_config(length_cm=60, position_cm=20).indentation.position_cm == 20
@@ -381,7 +393,8 @@ def test_written_configuration_reads_back_equal(
 ):
     tube["shore_a" if by_modulus else "shear_modulus_mpa"] = None
     bore, outer = tube["inner_diameter_mm"], tube["inner_diameter_mm"] + 2 * tube["wall_mm"]
-    reach = (pressed_reach(outer, indenter) + CLEARANCE * outer) / 10
+    clearance = CLEARANCE if waves["method"] == "full" else JOINED_CLEARANCE
+    reach = (pressed_reach(outer, indenter) + clearance * outer) / 10
     waves["probe_cm"] = max(waves["probe_cm"], bore / waves["resolution"] / 10 + 0.01)
     tube["length_cm"] = max(tube["length_cm"], min(1000, waves["probe_cm"] + 2 * reach + 1))
     answer_ms = 20 * tube["length_cm"] / sound_speed(waves["temperature_c"])

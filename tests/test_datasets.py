@@ -1,5 +1,6 @@
 """Datasets of cycles: labels, seeds, the schema of recordings, and completion after interrupts."""
 
+import dataclasses
 import json
 from concurrent.futures import ThreadPoolExecutor
 
@@ -21,7 +22,7 @@ from acoustube.runs.config.si import settings_in_si
 from acoustube.runs.scattering_file import from_dataset
 from acoustube.runs.sweep import store
 from acoustube.runs.sweep.case_results import placed
-from acoustube.runs.sweep.cycles import Recipe, in_session, seed_of
+from acoustube.runs.sweep.cycles import Recipe, in_session, record_one, seed_of
 from acoustube.runs.sweep.dataset import _check_band, rangefinder_in, run_dataset
 from acoustube.runs.sweep.plan import load_plan
 from acoustube.runs.sweep.run import run_sweep
@@ -200,6 +201,26 @@ def test_interrupted_dataset_goes_on_and_a_damaged_file_is_mended(
     )
 
 
+def test_dataset_of_several_sessions_states_its_rangefinder(dataset):
+    """The errors of the thermometer, which differ between sessions, are 0 in the mean."""
+    stated = json.loads(acoustube.open_dataset(dataset).attrs["rangefinder"])
+    expected = dataclasses.replace(Rangefinder(), temperature_bias=0.0)
+    assert stated == json.loads(expected.to_json())
+
+
+def test_cycles_recorded_before_the_drive_begin_before_time_zero(sweep):
+    """As those of real recorders: time zero is the drive, or before it by a twin's trigger."""
+    name, path = next(iter(store.contents(sweep).finished.items()))
+    still = Rangefinder(noise=0.0, drift=0.0)
+    early = dataclasses.replace(still, lead=1e-3)
+    plain = record_one(name, path, Recipe(rangefinder=still))
+    found = record_one(name, path, Recipe(rangefinder=early, trigger=2e-5))
+    assert plain["time"].values[0] == 0
+    assert found["time"].values[0] == pytest.approx(-0.98e-3)
+    shift = np.abs(found["signal"].values[:, 200:] - plain["signal"].values[:, :-200].astype(int))
+    assert shift.max() <= 1
+
+
 def test_card_states_the_contents(dataset):
     text = (dataset / "README.md").read_text()
     assert "96 simulated cycles of 4000 samples at 200 kHz" in text
@@ -207,6 +228,7 @@ def test_card_states_the_contents(dataset):
     assert "| depth | 0 | 0.6 | mm |" in text
     assert "| place | 50 | 90 | cm |" in text
     assert "the seed is 7" in text
+    assert "`clutter` (1.5e-05 1/m)" in text
 
 
 def test_export_writes_sound_files_with_their_labels(dataset, capsys):

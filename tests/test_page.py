@@ -23,7 +23,7 @@ from acoustube.cli.simulate import run_simulation
 from acoustube.indentation import Indenter, MeshSize
 from acoustube.indentation.mesh import sweep as swept_tube
 from acoustube.lumen.thinning import RINGS, decimate_rings
-from acoustube.reports.page import content, read, shapes, write
+from acoustube.reports.page import content, read, runs, shapes, write
 from acoustube.reports.page.encoded import Arrays
 from acoustube.reports.page.solid import Solid
 from acoustube.runs.config import Mechanics, load_config
@@ -178,6 +178,34 @@ def test_tools_touch_a_straight_tube_at_its_top():
     beside = Indenter(shape="sphere", diameter=20e-3, x=3e-3)
     expected = np.sqrt((radius + 10e-3) ** 2 - 3e-3**2) - 10e-3
     assert shapes.tool_height(beside, points) == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("offset", [3.0, -3.0])
+def test_sphere_on_either_side_rests_on_the_whole_wall(offset):
+    """A straight tube, of which the page shows the half x > 0; the height is that of circles."""
+    config = load_config(
+        kind=Mechanics, shape="sphere", indenter_mm=20, offset_mm=offset, depth_mm=1.0
+    )
+    tube = Tube(inner_diameter=BORE, wall_thickness=WALL)
+    size = MeshSize(through_wall=1, around=24, along=12)
+    mesh = swept_tube(tube, 0.03, size, halved=(False, True))
+    numbers = (
+        "contact_force", "indentation_depth", "lumen_height", "lumen_width", "lumen_area",
+    )  # fmt: skip
+    data = xr.Dataset(
+        {name: ("depth", [1e-3]) for name in numbers}
+        | {
+            "lumen_area_profile": (("depth", "z"), np.ones((1, 2))),
+            "node_position": (("node", "xyz"), mesh.points),
+            "node_displacement": (("depth", "node", "xyz"), np.zeros((1, *mesh.points.shape))),
+            "element_node": (("element", "corner"), mesh.elements),
+        },
+        {"z": [-0.01, 0.01]},
+    )
+    (state,) = runs._indented(data, config).states
+    radius = BORE / 2 + WALL
+    expected = np.sqrt((radius + 10e-3) ** 2 - 3e-3**2) - 10e-3
+    assert state.tool_height == pytest.approx(expected, abs=2e-5)
 
 
 @pytest.mark.parametrize("x", [0.0, 2e-3, -2e-3, 7e-3])

@@ -2,6 +2,7 @@
 
 import dataclasses
 from io import StringIO
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,16 +10,26 @@ import pyvista
 import xarray as xr
 from commands import run_here, run_process
 from rich.console import Console
+from test_tetrahedra import D_BORE
 
 from acoustube import load_config
+from acoustube.base import cache
 from acoustube.base.console import ConsoleReporter
 from acoustube.cli import indent as indent_command
-from acoustube.indentation import MeshSize, PressError, indent, load_path, restored
+from acoustube.indentation import (
+    MeshSize,
+    PressError,
+    indent,
+    load_path,
+    restored,
+    tetrahedra,
+)
 from acoustube.indentation.self_contact import triangulated
 from acoustube.reports.figures import run as run_figure
 from acoustube.runs import presses as press_runs
 from acoustube.runs.config import Mechanics
 from acoustube.runs.config.si import press_in_si
+from acoustube.runs.presses import MESH
 
 COARSE = MeshSize(through_wall=1, around=6, along=6)
 
@@ -171,6 +182,32 @@ def test_truncated_cache_entry_is_computed_again_and_reported(tmp_path, monkeypa
     assert computed == ["first", "second"]
     assert np.array_equal(found[0], found[1])
     assert np.array_equal(found[1], found[2])
+
+
+def test_notes_on_the_mesh_of_an_imported_wall_are_kept_with_the_press(tmp_path, monkeypatch):
+    """The mesh is stubbed, and noted; the press is that of the deepest of its depths."""
+    mesh = SimpleNamespace(sweep=None, halved=(True, True), **dict.fromkeys(MESH, np.zeros(2)))
+
+    def meshed(_surface, *, note, **_options):
+        note("it is rough")
+        return mesh
+
+    results = {"depth": np.zeros(2)}
+    monkeypatch.setenv("ACOUSTUBE_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(tetrahedra, "tetrahedral_mesh", meshed)
+    monkeypatch.setattr(press_runs, "Mesh", SimpleNamespace)
+    monkeypatch.setattr(
+        press_runs, "indent", lambda *_a, **o: SimpleNamespace(mesh=o["mesh"], results=results)
+    )
+    monkeypatch.setattr(press_runs, "restored", lambda _t, _i, known, **_o: known["depth"])
+    config = load_config(None, Mechanics, depth_mm=0.5, surface=str(D_BORE))
+    for _ in range(2):
+        notes = []
+        found = press_runs.pressed(config, [0.5e-3, 2e-3], note=notes.append)
+        assert notes == ["it is rough"]
+    assert np.array_equal(found, np.zeros(2))  # that of the cache
+    (entry,) = cache.entries()
+    assert ", 2 mm deep, " in entry.label
 
 
 def test_press_that_stops_keeps_and_reports_converged_depths(tmp_path, monkeypatch):

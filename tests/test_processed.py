@@ -114,6 +114,31 @@ def test_names_with_brackets_and_cycles_that_begin_elsewhere():
     assert len(rows_of(Path("t.csv").read_text())) == 7
 
 
+def test_recordings_that_begin_at_different_times_are_calibrated_on_one_axis():
+    """Of the closures, every second begins 0.5 ms before the send pulse, by its axis of time."""
+    cycles, time = blocked().astype(np.uint16), np.arange(4000) / RATE
+    early = np.concatenate([np.full((len(cycles), 500), cycles[0, -1]), cycles[:, :-500]], axis=1)
+    save("whole.npz", cycles, true_distance_m=PLACES)
+    np.savez("a.npz", signal=cycles[::2], time=time, temperature=20.0, true_distance_m=PLACES[::2])
+    np.savez(
+        "b.npz", signal=early[1::2], time=time - 500 / RATE, temperature=20.0,
+        true_distance_m=PLACES[1::2],
+    )  # fmt: skip
+    np.savez("past.npz", signal=cycles, time=time - 0.03, temperature=20.0)
+    save("free.npz", untouched())
+    one = run_here("calibrate", "whole.npz", "--untouched", "free.npz", "--out", "w")
+    assert one.returncode == 0, one.stderr
+    made = run_here("calibrate", "b.npz", "a.npz", "--untouched", "free.npz", "--out", "ab")
+    assert made.returncode == 0, made.stderr
+    whole, both = signals.load("w"), signals.load("ab")
+    assert both.distance_rmse < 1.5 * whole.distance_rmse
+    assert both.slope.value == pytest.approx(whole.slope.value, abs=1e-3)
+    assert both.processing.prominence == pytest.approx(whole.processing.prominence, rel=0.05)
+    apart = run_here("calibrate", "whole.npz", "--untouched", "past.npz", "--out", "l")
+    assert apart.returncode == 2
+    assert "no time in common" in " ".join(apart.stderr.split())
+
+
 def test_calibration_beside_its_recording_is_no_sidecar(tmp_path):
     save("closed.npz", blocked(), true_distance_m=PLACES)
     save("free.npz", untouched())

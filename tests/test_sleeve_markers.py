@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
 from acoustube.base.errors import ConfigError
-from acoustube.sleeve import fit_arm, read_markers, wound
+from acoustube.sleeve import check_room, fit_arm, read_markers, wound
 
 RADIUS, TAPER, LENGTH = 0.0326, 0.057, 0.25
 TILT = Rotation.from_rotvec([0.4, -0.7, 0.3]).as_matrix()
@@ -71,6 +71,19 @@ def test_outliers_and_gaps_are_left_out_and_named():
     assert arm.lines[0].radius == pytest.approx(true_line(arm, True)[0], abs=1e-3)
 
 
+def test_three_noisy_markers_are_a_column():
+    """They determine no robust deviation: a line goes through any two of them."""
+    random = np.random.default_rng(4)
+    for _ in range(20):
+        arm = fit_arm(*columns(random, n=3))
+        assert np.concatenate(arm.kept).all()
+        assert arm.lines[0].radius == pytest.approx(true_line(arm, True)[0], abs=2e-3)
+    first, second = columns(random, n=3)
+    first[1] += [0.0, 0.03, 0.0]
+    with pytest.raises(ConfigError, match="only 2 markers of the first column"):
+        fit_arm(first, second)
+
+
 def test_columns_off_the_axis_have_lines_of_their_own():
     first, second = columns(tilted=False)
     first = first * [1.2, 1, 1]
@@ -84,6 +97,18 @@ def test_tubes_start_at_their_columns():
     tubes = wound(fit_arm(first, second), 9)
     for tube, start in zip(tubes, (first[0], second[0]), strict=True):
         assert tube.place(tube.lead) == pytest.approx(start, abs=1e-7)
+
+
+def test_tubes_of_columns_side_by_side_are_refused():
+    """Columns 40 degrees apart on a cylinder: the tubes are a ninth of a loop apart."""
+    turned = Rotation.from_rotvec([0, 0, np.radians(40)]).as_matrix()
+    first = columns(tilted=False)[0] * [0, 0, 1] + [RADIUS, 0, 0]
+    tubes = wound(fit_arm(first, first @ turned.T, axis="z"), 8)
+    angle = np.arctan2(LENGTH / 8, 2 * np.pi * RADIUS)
+    apart = LENGTH / 8 / 9 * np.cos(angle)
+    check_room(tubes, 0.99 * apart)
+    with pytest.raises(ConfigError, match=f"would be {1e3 * apart:.1f} mm apart"):
+        check_room(tubes, 1.01 * apart)
 
 
 def swapped():

@@ -10,6 +10,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,13 +23,14 @@ from wave_lumens import BORE, pinched_tube
 import acoustube
 from acoustube.air import air_at
 from acoustube.base import cache
-from acoustube.base.errors import ConfigError
+from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.cli import main
+from acoustube.indentation import PressError
 from acoustube.lumen import pressed_part
 from acoustube.reports.figures import sweep as sweep_figure
 from acoustube.runs import sound
-from acoustube.runs.config import configured
-from acoustube.runs.config.si import settings_in_si
+from acoustube.runs.config import Config, configured
+from acoustube.runs.config.si import press_in_si, settings_in_si
 from acoustube.runs.presses import pressed
 from acoustube.runs.sweep import store
 from acoustube.runs.sweep import tasks as sweep_tasks
@@ -340,7 +342,8 @@ def test_a_press_that_stops_fails_only_its_deeper_cases(tmp_path, monkeypatch):
     def stop(settings, depths):
         done = real(settings, depths)
         at = {depth: value for depth, value in done.result.at.items() if depth < 0.5e-3}
-        return done._replace(result=sweep_tasks.PressPath(at, "cannot go beyond 0.5 mm"))
+        failed = dict.fromkeys(depths, "cannot go beyond 0.5 mm")
+        return done._replace(result=sweep_tasks.PressPath(at, failed))
 
     monkeypatch.setattr(sweep_tasks, "press", stop)
     folder = tmp_path / "stopped"
@@ -348,6 +351,30 @@ def test_a_press_that_stops_fails_only_its_deeper_cases(tmp_path, monkeypatch):
     assert set(store.failures(folder).values()) == {"cannot go beyond 0.5 mm"}
     depths = acoustube.open_dataset(folder)["depth"].values
     assert sorted(depths) == [0.0, 0.0, 0.3e-3, 0.3e-3]
+
+
+def test_depths_at_which_a_tube_is_bent_too_sharply_stop_no_other(monkeypatch):
+    """Nor does one that is too deep. 2 mm are too sharp, 3 mm not reached, and 4 mm too deep."""
+    found = SimpleNamespace(depth=np.array([0, 1e-3, 2e-3]), mesh=None, rows_at=lambda _: [1, 2])
+
+    def stopping(_settings, depths):
+        if 4e-3 in depths:
+            raise ConfigError("into the floor")
+        raise PressError("stopped at 2.5 mm", found)
+
+    def measured(_found, row, _wall):
+        if row == 2:
+            raise SimulationError("bent too sharply")
+        return "pressed"
+
+    monkeypatch.setattr(sweep_tasks.press_runs, "press_to", stopping)
+    monkeypatch.setattr(sweep_tasks, "inner_wall", lambda _: None)
+    monkeypatch.setattr(sweep_tasks, "_pressed", measured)
+    at, failed = sweep_tasks.press(press_in_si(Config()), [1e-3, 2e-3, 3e-3, 4e-3]).result
+    assert at == {1e-3: "pressed"}
+    reasons = {2e-3: "bent too sharply", 3e-3: "stopped at 2.5 mm", 4e-3: "into the floor"}
+    assert failed == reasons
+    assert sweep_tasks.press(press_in_si(Config()), [4e-3]).result == ({}, {4e-3: reasons[4e-3]})
 
 
 @pytest.mark.slow

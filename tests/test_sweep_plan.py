@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from acoustube.runs.sound import band_of
 from acoustube.runs.sweep.graph import Case, load_paths, only_cases, shard
 from acoustube.runs.sweep.plan import Plan, case_name, load_plan, to_toml
 from acoustube.runs.sweep.plan_text import Interval, parsed
+from acoustube.runs.sweep.run import run_sweep
 
 PAPER = {"indenter_mm": ["10", "25", "35"], "depth_mm": ["0.5:8:0.5"]}
 
@@ -104,6 +106,23 @@ def test_random_plan_fills_its_ranges_and_depends_on_its_seed_alone(sampler):
     )
     other = load_plan(None, over, count=64, sampler=sampler, seed=2).columns()
     assert not np.array_equal(columns["depth_mm"], other["depth_mm"])
+
+
+@pytest.mark.parametrize("share", [(4, 3), (1, 2, 3)])
+def test_shares_that_no_plan_has_are_refused(share):
+    with pytest.raises(ConfigError, match=r"share = .* is not a part of a plan"):
+        run_sweep(load_plan(None, PAPER), "study", share=share)
+    assert not Path("study").exists()
+
+
+@pytest.mark.parametrize("sampler", ["sobol", "latin"])
+def test_whole_numbers_of_a_range_are_equally_frequent(sampler):
+    over = {"cycles": ["8.5:12.5"], "resolution": ["20:23"]}
+    columns = load_plan(None, over, count=64, sampler=sampler, seed=1).columns()
+    for name, values in {"cycles": range(9, 13), "resolution": range(20, 24)}.items():
+        assert sorted(columns[name]) == [value for value in values for _ in range(16)]
+    with pytest.raises(ConfigError, match=r"cycles = 8.2:8.7 holds no whole number"):
+        load_plan(None, {"cycles": ["8.2:8.7"]}, count=4)
 
 
 def test_case_is_named_by_the_hash_of_its_settings():

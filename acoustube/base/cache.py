@@ -38,7 +38,7 @@ LIBRARIES = ("ipctk", "pytetwild")
 """Packages whose versions are part of the key, in addition to acoustube's own code."""
 CODE = {
     "press": ("acoustube.runs.presses", "acoustube.indentation"),
-    "scattering": ("acoustube.runs.sound", "acoustube.lumen", "acoustube.waves.scattering"),
+    "scattering": ("acoustube.runs.sound", "acoustube.runs.surface_scattering", "acoustube.lumen"),
 }
 """Modules that compute each kind of result; their code and that of their imports is in the key."""
 NOT_FOLLOWED = tuple(

@@ -5,6 +5,12 @@ CLEARANCE = 0.5
 
 A press moves the ends of the modelled part outwards by up to 0.1 mm, and leaves them oval.
 """
+JOINED_CLEARANCE = 1.25
+"""`CLEARANCE` of a press whose scattering is computed alone and joined to straight tube.
+
+The computed part blends into the undeformed tube over one outer diameter, and its straight ends
+begin up to a quarter of the bore farther on.
+"""
 
 LARGEST_CLOSING = 0.9
 """Largest depth of a press with valid acoustics, over the bore; slightly deeper, the walls meet."""

@@ -75,9 +75,15 @@ def calibrate(
     from acoustube.signals.calibration_file import in_toml
 
     report, how = output.reporter(), processing_of(sensor)
-    closed, free = (_together(paths, recording, lead, how) for paths in (blocked, untouched))
     named = f"{blocked[0]} (closed) and {untouched[0]} (untouched)"
-    _check_alike(closed, free, blocked[0], named)
+    shut, quiet = (_recordings(paths, recording, lead, how) for paths in (blocked, untouched))
+    _check_alike(shut[0], quiet[0], named)
+    closed, free = _together(shut, quiet, named)
+    if "true_distance" not in closed:
+        raise ConfigError(
+            f"the closed cycles of {blocked[0]} have no label true_distance; give it in the file "
+            "or in a sidecar"
+        )
     try:
         found = signals.calibrate(
             closed["time"].values, closed["signal"].values, closed["true_distance"].values,
@@ -113,13 +119,8 @@ def _free_path(out: Path | None, name: str | None) -> Path:
     return path
 
 
-def _check_alike(closed: xr.Dataset, free: xr.Dataset, blocked: Path, named: str) -> None:
-    """Raise unless closures have labels, and all cycles the same sampling rate and length."""
-    if "true_distance" not in closed:
-        raise ConfigError(
-            f"the closed cycles of {blocked} have no label true_distance; give it in the file "
-            "or in a sidecar"
-        )
+def _check_alike(closed: xr.Dataset, free: xr.Dataset, named: str) -> None:
+    """Raise unless closures and untouched cycles have the same sampling rate and length."""
     for what, one, other in (
         ("sampling rate", closed.attrs["sampling_rate"], free.attrs["sampling_rate"]),
         ("number of samples", closed.sizes["time"], free.sizes["time"]),
@@ -131,10 +132,10 @@ def _check_alike(closed: xr.Dataset, free: xr.Dataset, blocked: Path, named: str
             )
 
 
-def _together(paths: Sequence[Path], options: Recording, lead: Lead, how: Processing) -> xr.Dataset:
-    """Return the cycles of several recordings as one dataset."""
-    import xarray as xr
-
+def _recordings(
+    paths: Sequence[Path], options: Recording, lead: Lead, how: Processing
+) -> list[xr.Dataset]:
+    """Return recordings of one sampling rate and length, time zero at their send pulses."""
     from acoustube.runs.recordings import read_recordings
 
     found = read_recordings(paths, dataclasses.asdict(options), lead.pulse_at, how)
@@ -146,7 +147,40 @@ def _together(paths: Sequence[Path], options: Recording, lead: Lead, how: Proces
             f"{', '.join(map(str, paths))}: the recordings differ in sampling rate or length; "
             "calibrate with recordings of one rate and length"
         )
-    return xr.concat(parts, "cycle", data_vars="all", join="override") if parts[1:] else parts[0]
+    return parts
+
+
+def _together(
+    closed: list[xr.Dataset], free: list[xr.Dataset], named: str
+) -> tuple[xr.Dataset, xr.Dataset]:
+    """Return the closed and the untouched cycles, each as one dataset, on one axis of time.
+
+    The axis is that of the recording which begins last, up to the earliest end; the samples of the
+    others are those nearest to its times.
+    """
+    import xarray as xr
+
+    parts = [*closed, *free]
+    starts = [float(part["time"][0]) for part in parts]
+    rate = float(parts[0].attrs["sampling_rate"])
+    skipped = [round((max(starts) - start) * rate) for start in starts]
+    length = parts[0].sizes["time"] - max(skipped)
+    if length < 2:
+        raise ConfigError(
+            f"{named}: the recordings begin at {min(starts):.3g} to {max(starts):.3g} s and have "
+            "no time in common; calibrate with recordings of the same part of a cycle"
+        )
+    last = parts[skipped.index(0)]["time"].values[:length]
+    parts = [
+        part.isel(time=slice(first, first + length)).assign_coords(time=last)
+        for part, first in zip(parts, skipped, strict=True)
+    ]
+    groups = parts[: len(closed)], parts[len(closed) :]
+    one, other = (
+        xr.concat(group, "cycle", data_vars="all", join="override") if group[1:] else group[0]
+        for group in groups
+    )
+    return one, other
 
 
 def _print_calibration(found: Calibration, given: Any, report: Reporter) -> None:

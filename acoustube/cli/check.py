@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from json import dumps
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -105,8 +106,8 @@ def check(*, json: Annotated[bool, FLAG] = False, output: Output = Output()) -> 
 
 
 def _in_json(outcome: Outcome) -> dict[str, Any]:
-    """Return a test's outcome as a dictionary for JSON, with None in place of nan."""
-    computed = None if outcome.problem else outcome.computed
+    """Return a test's outcome as a dictionary for JSON, with None in place of nan and infinity."""
+    computed = outcome.computed if isfinite(outcome.computed) else None
     return outcome._asdict() | {"computed": computed, "passed": outcome.passed}
 
 

@@ -86,13 +86,8 @@ def topics_of(result: Path) -> set[str]:
     if result.is_file() and result.suffix == ".nc":
         origin = _attributes(result)
         if str(origin.get("title")).startswith("Scattering") and "losses" in origin:
-            return {
-                "air",
-                "absorber",
-                "grid",
-                "scattering",
-                *(("losses",) if origin["losses"] != "none" else ()),
-            }
+            found = {"air", "scattering"} | ({"losses"} if origin["losses"] != "none" else set())
+            return found if origin.get("solver") == "spectral" else found | {"absorber", "grid"}
     return _of_sweep(result)
 
 

@@ -34,6 +34,8 @@ KERNELS = compile_contraction, compile_kernels
 """Functions that compile the code of a press."""
 MESH = ("points", "elements", "inner_faces", "outer_faces")
 """Arrays of the mesh of an imported wall that are cached with its press."""
+NOTES = "notes"
+"""Name of the array of the notes on this mesh that are cached with its press."""
 
 
 @checked(config=Instance((Config, Mechanics)), depths=Reals(0, 1, "m", ndim=1))
@@ -92,13 +94,19 @@ def press_to(
         note(f"The cached press {entry} is damaged and was not used: it was computed again.")
     indenter, support, layer = settings.indenter, settings.support, settings.layer
     compile_ahead([*(KERNELS if known is None else ()), *then])
-    tube, mesh = _tube_and_mesh(settings, known, note)
+    said: list[str] = []
+    tube, mesh = _tube_and_mesh(settings, known, said)
+    if note:
+        for words in said:
+            note(words)
     if known is not None:
         return restored(tube, indenter, known, support=support, layer=layer, mesh=mesh)
     found = indent(
         tube, indenter, depth=depths, support=support, layer=layer, mesh=mesh, progress=progress
     )
-    cache.store(name, _arrays(found), f"{wall_in_words(settings)}; {press_in_words(settings)}")
+    deepest = dataclasses.replace(settings, depth=max(depths))
+    label = f"{wall_in_words(settings)}; {press_in_words(deepest)}"
+    cache.store(name, _arrays(found, said), label)
     return found
 
 
@@ -148,11 +156,12 @@ def _content(path: Path) -> str:
 
 
 def _tube_and_mesh(
-    settings: SIPress, known: Arrays | None, note: Note | None
+    settings: SIPress, known: Arrays | None, said: list[str]
 ) -> tuple[Tube, Mesh | MeshSize]:
     """Return the tube, with the mesh of an imported wall or the mesh size of a round tube.
 
-    The mesh of an imported wall is taken from the arrays `known` of a cached press, if given.
+    The mesh of an imported wall, and the notes on it, which are appended to `said`, are taken from
+    the arrays `known` of a cached press, if given.
     """
     if settings.surface is None:
         return settings.tube, settings.mesh
@@ -167,12 +176,13 @@ def _tube_and_mesh(
     )
     _check_depth(tube, settings)
     if known is not None:
+        said += [str(words) for words in known[NOTES]]
         halved = bool(known["halved"][0]), bool(known["halved"][1])
         parts: dict[str, Any] = {name: known[name] for name in MESH}
         return tube, Mesh(**parts, reference=TET10, halved=halved)
     reach = pressed_reach(tube.outer_diameter, settings.indenter.diameter)
     halves = settings.indenter.halves
-    return tube, tetrahedra.tetrahedral_mesh(surface, reach=reach, halved=halves, note=note)
+    return tube, tetrahedra.tetrahedral_mesh(surface, reach=reach, halved=halves, note=said.append)
 
 
 def _check_depth(tube: Tube, settings: SIPress) -> None:
@@ -186,10 +196,14 @@ def _check_depth(tube: Tube, settings: SIPress) -> None:
         )
 
 
-def _arrays(indentation: Indentation) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a press to be cached: its results, and its mesh if imported."""
+def _arrays(indentation: Indentation, said: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a press to be cached: its results; of an imported wall also its mesh.
+
+    The notes `said` on this mesh are among them.
+    """
     mesh = indentation.mesh
     found = dict(indentation.results)
     if mesh.sweep is None:
-        found |= {name: getattr(mesh, name) for name in MESH} | {"halved": np.array(mesh.halved)}
+        found |= {name: getattr(mesh, name) for name in MESH}
+        found |= {"halved": np.array(mesh.halved), NOTES: np.array(said, str)}
     return found

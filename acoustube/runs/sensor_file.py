@@ -12,7 +12,7 @@ import tomlkit
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
-from acoustube.base.units import MPA
+from acoustube.base.units import MPA, US
 from acoustube.ranging import Rangefinder
 
 KIND = "twin"
@@ -101,13 +101,13 @@ def twin_settings(path: Path) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``offset_deviation`` in K and ``reflectors``.
+        ``offset_deviation`` in K, ``reflectors``, and ``trigger`` in s.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read, or the clutter or the standard deviation of the temperature is
-        not numeric.
+        If the file cannot be read, or the clutter, the standard deviation of the temperature or the
+        trigger is not numeric.
     """
     document = read_document(path)
     if KIND not in document:
@@ -116,5 +116,9 @@ def twin_settings(path: Path) -> dict[str, Any]:
     given = clutter.get("reflection", []) if isinstance(clutter, dict) else None
     offset = document.get("temperature_offset_c_sd", 0.0)
     reflectors = given if isinstance(given, list) else [None]
-    deviation, *reflection = finite_numbers((offset, *reflectors), path)
-    return {"offset_deviation": min(deviation, 100.0), "reflectors": tuple(reflection)}
+    given_trigger = document.get("trigger_us", 0.0)
+    deviation, trigger, *reflection = finite_numbers((offset, given_trigger, *reflectors), path)
+    return {
+        "offset_deviation": min(deviation, 100.0), "reflectors": tuple(reflection),
+        "trigger": trigger / US,
+    }  # fmt: skip

@@ -44,6 +44,8 @@ LENGTH_RANGE = 0.03, 1.5
 """Plausible range of the length of an arm in m. Columns with outliers may be twice as long."""
 MIN_MARKERS = 3
 """Least number of markers per column: a line goes through any two."""
+THIRD_DISTANCE = 0.01
+"""Distance in m of one of three markers from the line of the others, up to which it is kept."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -226,7 +228,8 @@ def _robust_line(points: Array) -> tuple[Array, Array, float, Kept]:
         # The median of the square of two normal errors is 2 log 2; small samples lie below it.
         spread = np.sqrt(np.median(across**2) / (2 * log(2))) * (1 + 5 / max(len(points) - 2, 1))
         deviation = max(float(spread), SMALLEST_DEVIATION)
-        kept = across <= OUTLIER_DEVIATIONS * deviation
+        least = THIRD_DISTANCE if len(points) == MIN_MARKERS else 0.0
+        kept = across <= max(OUTLIER_DEVIATIONS * deviation, least)
         middle = points[kept].mean(axis=0)
         direction = np.linalg.svd(points[kept] - middle)[2][0]
     along = (points[kept] - middle) @ direction

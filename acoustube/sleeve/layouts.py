@@ -264,8 +264,13 @@ def _most_loops(tube: Helix, longest: float) -> float:
 
 @checked(tubes=Several(Helix, 1), outer_diameter=LENGTH)
 def check_room(tubes: Sequence[Helix], outer_diameter: float) -> None:
-    """Raise ConfigError if the spacing of tubes is under their outer diameter in m."""
-    room = spacing(tubes)
+    """Raise ConfigError if the least spacing of tubes is under their outer diameter in m.
+
+    The tubes start at any angles; otherwise as for :func:`spacing`.
+    """
+    starts = np.sort([tube.phase / (2 * pi) % 1 for tube in tubes])
+    narrowest = float(np.diff(starts, append=starts[0] + 1).min())
+    room = spacing(tubes) * len(tubes) * narrowest
     if room < outer_diameter:
         raise ConfigError(
             f"n_tubes = {len(tubes)} over a length of {CM * tubes[0].length:.4g} cm would be "

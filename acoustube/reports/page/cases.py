@@ -184,8 +184,8 @@ def _state(
         shape, along, height = _untouched(settings)
     elif walls is not None and shape is not None:
         along = Along(z=walls["z"].values, area=walls["area_profile"].values.astype(float))
-        outer = shape.points[np.unique(shape.faces["outer"])]
-        height = tool_height(settings.indenter, outer)
+        outer = walls["outer_wall"].values.astype(float)
+        height = tool_height(settings.indenter, outer.reshape(-1, 3))
     return State(
         depth=depth,
         force=float(case["force"]),

@@ -128,8 +128,11 @@ def _indented(data: xr.Dataset, config: Mechanics) -> Group:
     states = []
     for row in _rows(data):
         moved = data["node_displacement"].values[row]
-        along = Along(z=z, area=data["lumen_area_profile"].values[row])
-        states.append(_state(data, row, solid.shape(moved), press, along))
+        area = data["lumen_area_profile"].values[row]
+        cut = np.isfinite(area)
+        along = Along(z=z[cut], area=area[cut])
+        height = tool_height(press, solid.outer_wall(moved))
+        states.append(_state(data, row, solid.shape(moved), height, along))
     return _group(config, states, solid, position=np.nan, length=np.nan)
 
 
@@ -143,12 +146,14 @@ def _simulated(data: xr.Dataset, config: Config) -> Group:
     for row in rows[:-1]:
         moved = data["node_displacement"].values[row]
         along = Along(z=z, area=solid.area(moved, z))
-        states.append(_state(data, row, solid.shape(moved), press, along))
+        height = tool_height(press, solid.outer_wall(moved))
+        states.append(_state(data, row, solid.shape(moved), height, along))
     walls = [data[name].values - [0, 0, position] for name in ("inner_wall", "outer_wall")]
     near = np.abs(walls[0][:, 0, 2]) < 2 * REACH * outer_diameter
     along = Along(z=data["z"].values - position, area=data["area_profile"].values)
     shape = from_rings(*(wall[near] for wall in walls))
-    states.append(_state(data, rows[-1], shape, press, along, _signal(data, config)))
+    height = tool_height(press, walls[1][near].reshape(-1, 3))
+    states.append(_state(data, rows[-1], shape, height, along, _signal(data, config)))
     length = float(data["z"][-1])
     return _group(config, states, solid, position=position, length=length)
 
@@ -158,8 +163,9 @@ def _solid(data: xr.Dataset) -> Solid:
 
 
 def _state(
-    data: xr.Dataset, row: int, shape: Shape, press: Any, along: Along, signal: Signal | None = None
-) -> State:
+    data: xr.Dataset, row: int, shape: Shape, height: float, along: Along,
+    signal: Signal | None = None,
+) -> State:  # fmt: skip
     at = data.isel(depth=row)
     return State(
         depth=float(at["indentation_depth"]),
@@ -168,7 +174,7 @@ def _state(
         width=float(at["lumen_width"]),
         area=float(at["lumen_area"]),
         shape=shape,
-        tool_height=tool_height(press, shape.points[np.unique(shape.faces["outer"])]),
+        tool_height=height,
         along=along,
         signal=signal,
     )

@@ -107,6 +107,14 @@ class Solid:
         outlines = [self._outline(wall, position) for wall in ("inner", "outer")]
         return Shape(np.concatenate(points), faces, *outlines)
 
+    def outer_wall(self, displacement: Array) -> Array:
+        """Return points (n, 3) of the modelled part's outer wall, on both sides of x = 0, in m.
+
+        `displacement` is that of the nodes in m, (n_nodes, 3).
+        """
+        sampling, _ = self.walls["outer"]
+        return np.asarray(sampling @ (self.nodes + displacement))
+
     def area(self, displacement: Array, z: Array) -> Array:
         """Return the lumen's cross-section in m2 at positions z in m, the press at zero.
 

@@ -6,7 +6,7 @@ import math
 
 from acoustube.air import sound_speed
 from acoustube.base.errors import ConfigError
-from acoustube.base.limits import CLEARANCE, SHALLOWEST_MM, pressed_reach
+from acoustube.base.limits import CLEARANCE, JOINED_CLEARANCE, SHALLOWEST_MM, pressed_reach
 from acoustube.runs.config.settings import IndentationSettings, TubeSettings, WaveSettings
 
 MM_PER_CM = 10
@@ -219,7 +219,8 @@ def _room(outer_mm: float, indenter_mm: float, waves: WaveSettings) -> tuple[flo
 
     All are in cm.
     """
-    reach = (pressed_reach(outer_mm, indenter_mm) + CLEARANCE * outer_mm) / MM_PER_CM
+    clearance = CLEARANCE if waves.method == "full" else JOINED_CLEARANCE
+    reach = (pressed_reach(outer_mm, indenter_mm) + clearance * outer_mm) / MM_PER_CM
     nearest = _round_up(waves.probe_cm + reach)
     return reach, nearest, _round_up(nearest + reach)
 

@@ -42,6 +42,8 @@ CARRIED = {
     "shear_modulus": "Pa", "tube_length": "m", "carrier_frequency": "Hz",
 }  # fmt: skip
 """Labels that a cycle has from its case, with their units."""
+SINCE = "time since the trigger"
+"""Description of the time axis, zero of which is the start of the drive but for a twin's delay."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +77,8 @@ class Recipe:
     young_modulus : float or None
         Young's modulus of the wall in Pa, to which forces and moduli of the labels are scaled; None
         for that of the sweep.
+    trigger : float
+        Time in s at which the drive starts; the cycles begin by the rangefinder's lead before it.
     """
 
     n_cycles: int = 50
@@ -87,6 +91,7 @@ class Recipe:
     spread: tuple[tuple[str, float], ...] = ()
     clutter_spread: float = 0.0
     young_modulus: float | None = None
+    trigger: float = 0.0
 
     def __post_init__(self) -> None:
         """Validate counts, seed and rangefinder."""
@@ -97,7 +102,7 @@ class Recipe:
             offset_deviation=Optional(Number(0, 100, "K")),
             reflectors=Reals(-1, 1, ndim=1, empty=True),
             clutter_spread=Number(0, 1, "1/m"),
-            young_modulus=Optional(Number(1e-3, 1e15, "Pa")),
+            young_modulus=Optional(Number(1e-3, 1e15, "Pa")), trigger=Number(-1, 1, "s"),
         )  # fmt: skip
         object.__setattr__(self, "reflectors", tuple(map(float, self.reflectors)))
         for name, deviation in self.spread:
@@ -125,6 +130,8 @@ class Recipe:
             words += [self.offset_deviation, *self.reflectors]
         if self.spread or self.clutter_spread or self.young_modulus is not None:
             words += [self.spread, self.clutter_spread, self.young_modulus]
+        if self.trigger != 0:
+            words += ["trigger", self.trigger]
         return digest(words)
 
     def rangefinder_for(self, settings: SISettings) -> Rangefinder:
@@ -221,7 +228,9 @@ def _recorded(name: str, path: Path, recipe: Recipe) -> Iterator[xr.Dataset]:
                 ),
             )
             names = {"press": name, "tube": tube, "session": f"{tube}-{number}"}
-            labelled = _labelled(cycles, case, settings, names)
+            start = recipe.trigger - rangefinder.lead
+            labelled = _labelled(cycles, case, settings, names, start)
+            labelled.attrs["rangefinder"] = _of_all_sessions(rangefinder, recipe).to_json()
             yield _with_modulus(labelled, settings, recipe.young_modulus)
 
 
@@ -253,6 +262,16 @@ def in_session(rangefinder: Rangefinder, seed: int, recipe: Recipe) -> Rangefind
     return dataclasses.replace(rangefinder, temperature_bias=float(bias))
 
 
+def _of_all_sessions(rangefinder: Rangefinder, recipe: Recipe) -> Rangefinder:
+    """Return a rangefinder with the mean error of the thermometer over random sessions.
+
+    Unlike the parameters of a session, it is the same in all files and sessions of a dataset.
+    """
+    if recipe.offset_deviation is not None:
+        return rangefinder
+    return dataclasses.replace(rangefinder, temperature_bias=0.0)
+
+
 def _with_modulus(cycles: xr.Dataset, settings: SISettings, modulus: float | None) -> xr.Dataset:
     """Return cycles with force and shear modulus of a wall of a Young's modulus in Pa."""
     if modulus is None:
@@ -271,10 +290,11 @@ def _with_modulus(cycles: xr.Dataset, settings: SISettings, modulus: float | Non
 
 
 def _labelled(
-    cycles: xr.Dataset, case: xr.Dataset, settings: SISettings, names: dict[str, str]
+    cycles: xr.Dataset, case: xr.Dataset, settings: SISettings, names: dict[str, str], start: float
 ) -> xr.Dataset:
     """Return cycles with the labels of their case, and the names of case, tube and session.
 
+    They begin at the time `start` in s.
     Without a press, true_distance and diameter are nan.
     """
     n = cycles.sizes["cycle"]
@@ -298,7 +318,7 @@ def _labelled(
         name: variable("cycle", np.full(n, value), "1", texts[name])
         for name, value in names.items()
     }
-    own = {k: v for k, v in cycles.attrs.items() if k in ("sampling_rate", "full_scale")}
+    coordinates["time"] = variable("time", cycles["time"].values + start, "s", SINCE)
     found = cycles.assign(labels).assign_coords(coordinates)
-    found.attrs = own | {"rangefinder": cycles.attrs["rangefinder"]}
+    found.attrs = {name: cycles.attrs[name] for name in ("sampling_rate", "full_scale")}
     return found

@@ -169,6 +169,8 @@ def _check_axis(name: str, values: Values | Interval, *, random: bool) -> None:
             )
         if not -math.inf < values.low < values.high < math.inf:
             raise ConfigError(f"{name} = {values} must have low < high")
+        if is_whole(name) and math.ceil(values.low) > math.floor(values.high):
+            raise ConfigError(f"{name} = {values} holds no whole number; give a wider range")
     elif not values:
         raise ConfigError(f"{name} has no values, so that the plan has no cases; give one or more")
     elif not all(isinstance(value, int | float | str) for value in values):
@@ -178,7 +180,10 @@ def _check_axis(name: str, values: Values | Interval, *, random: bool) -> None:
 
 
 def _sampled(plan: Plan) -> dict[str, Any]:
-    """Return random values of each setting of a plan; values of a list are equally frequent."""
+    """Return random values of each setting of a plan.
+
+    The values of a list, and the whole numbers within a range, are equally frequent.
+    """
     import warnings
 
     import numpy as np
@@ -192,13 +197,21 @@ def _sampled(plan: Plan) -> dict[str, Any]:
         points = drawn.random(plan.count)
     found = {}
     for (name, values), share in zip(plan.over.items(), points.T, strict=False):
-        if isinstance(values, Interval):
-            drawn_values = np.round(values.low + share * (values.high - values.low), 6)
-            found[name] = np.rint(drawn_values).astype(int) if is_whole(name) else drawn_values
+        if not isinstance(values, Interval):
+            found[name] = np.array(values)[_places(share, len(values))]
+        elif is_whole(name):
+            first, last = math.ceil(values.low), math.floor(values.high)
+            found[name] = first + _places(share, last - first + 1)
         else:
-            place = np.minimum((share * len(values)).astype(int), len(values) - 1)
-            found[name] = np.array(values)[place]
+            found[name] = np.round(values.low + share * (values.high - values.low), 6)
     return found
+
+
+def _places(share: Any, count: int) -> Any:
+    """Return the numbers, from 0, of the equal parts of 0 to 1 in which shares lie."""
+    import numpy as np
+
+    return np.minimum(share * float(count), count - 1.0).astype(int)
 
 
 @checked(path=Optional(PATH), over=Optional(Mapping))

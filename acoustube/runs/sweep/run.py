@@ -107,11 +107,16 @@ def run_sweep(
     Raises
     ------
     ConfigError
-        If the plan or the folder cannot be used.
+        If the plan, the part of it or the folder cannot be used.
     SimulationError
         If a file cannot be written, as on a full disk, or the workers are gone.
     """
     started = time.perf_counter()
+    if len(share) > 2 or share[0] > share[1]:
+        raise ConfigError(
+            "is not a part of a plan", setting="share", value=tuple(share),
+            advice="give (number, count) with a number from 1 to count",
+        )  # fmt: skip
     cases = cases_of(plan)
     folder = store.prepared(out)
     found = store.contents(folder)

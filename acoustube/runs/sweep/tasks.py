@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from acoustube.air import air_at
 from acoustube.base import cache
+from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.indentation import Indentation, PressError
 from acoustube.lumen import Lumen, inner_wall, measure, pressed_part
 from acoustube.runs import presses as press_runs
@@ -70,13 +71,13 @@ class PressPath(NamedTuple):
     Attributes
     ----------
     at : dict of float to Pressed
-        Presses by depth in m, without depths that could not be reached.
-    stopped : str
-        Reason why some depths could not be reached; empty otherwise.
+        Presses by depth in m, without depths that failed.
+    failed : dict of float to str
+        Reason for each other depth: it was not reached, or the tube is bent too sharply there.
     """
 
     at: Mapping[float, Pressed]
-    stopped: str
+    failed: Mapping[float, str]
 
 
 def untouched(settings: SIPress) -> Pressed:
@@ -88,7 +89,7 @@ def untouched(settings: SIPress) -> Pressed:
 def press(settings: SIPress, depths: Sequence[float]) -> Done[PressPath]:
     """Press a tube to several depths, or read the press from the cache.
 
-    Depths that cannot be reached are left out of the result, with the reason.
+    Depths that cannot be reached, or whose lumen cannot be straightened, stop no other.
 
     Parameters
     ----------
@@ -97,15 +98,39 @@ def press(settings: SIPress, depths: Sequence[float]) -> Done[PressPath]:
     depths : sequence of float
         Rising depths in m.
     """
-    reused = cache.holds(press_runs.cache_key(settings, depths))
-    stopped = ""
-    try:
-        found = press_runs.press_to(settings, depths)
-    except PressError as error:
-        found, stopped = error.indentation, str(error)
-    wall = inner_wall(found.mesh)
-    at = {float(found.depth[i]): _pressed(found, i, wall) for i in found.rows_at(depths)}
-    return Done(PressPath(at, stopped), reused)
+    found, failed, reused = _reached(settings, depths)
+    if found is None:
+        return Done(PressPath({}, failed), reused)
+    wall, at = inner_wall(found.mesh), {}
+    for row in found.rows_at(depths):
+        depth = float(found.depth[row])
+        try:
+            at[depth] = _pressed(found, row, wall)
+            failed.pop(depth, None)
+        except (SimulationError, ValueError) as error:
+            failed[depth] = " ".join(str(error).split())
+    return Done(PressPath(at, failed), reused)
+
+
+def _reached(
+    settings: SIPress, depths: Sequence[float]
+) -> tuple[Indentation | None, dict[float, str], bool]:
+    """Return a press, the reasons why it may lack some depths, and whether it was cached.
+
+    Depths at which an indenter beside the axis would meet the floor are left out. The press is
+    None if there are no others.
+    """
+    failed: dict[float, str] = {}
+    for count in range(len(depths), 0, -1):
+        possible = depths[:count]
+        reused = cache.holds(press_runs.cache_key(settings, possible))
+        try:
+            return press_runs.press_to(settings, possible), failed, reused
+        except PressError as error:
+            return error.indentation, failed | dict.fromkeys(possible, str(error)), reused
+        except ConfigError as error:
+            failed[possible[-1]] = str(error)
+    return None, failed, False
 
 
 def _pressed(indentation: Indentation, row: int, wall: Any) -> Pressed:
