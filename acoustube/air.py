@@ -144,6 +144,15 @@ def sound_speed(temperature: float) -> float:
     return sqrt(HEAT_CAPACITY_RATIO * SPECIFIC_GAS_CONSTANT * _absolute(temperature))
 
 
+def neighbouring_air(temperature: float) -> tuple[Air, Air, float]:
+    """Return air half a kelvin colder and warmer than a temperature in degC, and the difference.
+
+    The difference in K is 1, or 0.5 at an end of the range of :func:`air_at`.
+    """
+    low, high = max(temperature - 0.5, TEMPERATURES[0]), min(temperature + 0.5, TEMPERATURES[1])
+    return air_at(low), air_at(high), high - low
+
+
 @checked(
     temperature=TEMPERATURE,
     humidity=Number(-1e6, 1e9, "%"),

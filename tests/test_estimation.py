@@ -241,6 +241,20 @@ def test_level_of_a_closure_is_the_same_wherever_and_however_warm_it_is():
     assert distance - [0.3, 0.3, 0.75, 1.2, 1.2] == pytest.approx(np.full(5, 0.04), abs=0.02)
 
 
+def test_bore_of_a_sweeps_cycles_is_that_of_their_features(recorded):
+    """Attenuation, which is removed from levels, depends on the bore."""
+    one = recorded.isel(cycle=slice(5, 6)).drop_attrs(deep=False)
+    one.attrs["sampling_rate"] = recorded.attrs["sampling_rate"]
+    levels = [
+        estimation.feature_table(one.assign(given), ECHO)["features"].sel(feature="level").item()
+        for given in (
+            {"bore_radius": ("cycle", [2.5e-3])}, {"inner_diameter": ("cycle", [5e-3])}, {},
+        )
+    ]  # fmt: skip
+    assert levels[0] == levels[1]
+    assert abs(levels[2] - levels[0]) > 0.1
+
+
 def test_features_reach_the_ends_of_the_temperatures_and_not_beyond(recorded):
     one = recorded.isel(cycle=slice(0, 1))
     near, end = (

@@ -300,6 +300,16 @@ def test_rounding_without_dither_is_the_same_in_all_cycles(n_cycles):
     assert one.noise(n_cycles) == pytest.approx(1 / 12, rel=1e-6)
 
 
+@pytest.mark.parametrize("temperature", [-20.0, 60.0])
+def test_baseband_is_differentiated_at_the_ends_of_the_range_of_temperatures(temperature):
+    """There by a difference to one side, which is 0.2 % off."""
+    own = Baseband(Rangefinder(), RADIUS, 2.5, temperature, MODES)
+    relative = own.speed_by_temperature / own.speed
+    assert relative == pytest.approx(0.5 / (temperature + 273.15), rel=4e-3)
+    plane = own.k_by_temperature[:, 0] / own.k[:, 0]
+    assert plane.real == pytest.approx(-relative, rel=0.02)
+
+
 def test_clutter_is_constant_beyond_the_temperatures_of_its_table(model):
     """Beyond 1.5 K; the derivative by temperature is that of this constant."""
     warm = np.array([-2.0, -1.5, 1.4, 1.5, 2.0])

@@ -75,6 +75,7 @@ def test_contacts_are_logged_and_shown_while_the_board_sends(folder, cycles, tmp
     how = Contacts(
         folder=folder / "lib", sensor=folder / "sensor.toml", rest=0.7, table=tmp_path / "c.csv"
     )
+    Follower(how, 80e3, 2000, 20.0)  # its tables are kept, so that the next is made at once
     stream = Stream(port=board.port, prominence=0.05)
     with board.sending(send):
         tally = run_live(

@@ -119,6 +119,17 @@ def test_modes_and_points_that_are_not_there_are_refused(words, part):
         propagate(CELLS, AIR, PULSE, duration=1e-3, **words)
 
 
+def test_mode_of_a_section_without_symmetry_is_refused():
+    """Its modes are neither symmetric nor antisymmetric about x = 0; the plane mode is exact."""
+    oblique = straight_tube(0.03, sections=3)
+    oblique.apply_transform(trimesh.transformations.rotation_matrix(0.3, [0, 0, 1]))
+    words = {"duration": 0.3e-3, "source_end": "absorbing"}
+    cells = cut_cells(oblique, BORE / 8)
+    propagate(cells, AIR, PULSE, probes=(ModalProbe(0.02, "00"),), **words)
+    with pytest.raises(ValueError, match='mode = "11c" is not defined, because the section'):
+        propagate(cells, AIR, PULSE, probes=(ModalProbe(0.02, "11c"),), **words)
+
+
 def test_probe_in_a_closed_layer_is_refused():
     """Between two lumens 10 mm apart."""
     parts = [straight_tube(0.03, sections=24) for _ in range(2)]

@@ -71,16 +71,18 @@ def test_bent_modes_join_to_the_scattering_of_a_bend(torsion):
     assert np.abs(s[:, 0, 1, 0, 0]).max() > 3e-3
 
 
-@pytest.mark.parametrize("frequency", [300.0, 2e3, 8e3, 40e3])
-def test_first_bent_mode_is_the_plane_wave(frequency):
+@pytest.mark.parametrize("frequency", [300.0, 2e3, 8e3])
+def test_first_bent_modes_are_the_plane_wave_and_those_that_decay_least(frequency):
     """Torsion gives the wavenumbers of evanescent modes real parts, up to 85 per metre here.
 
-    The bend changes the plane wave's by 1.3 % at most, measured.
+    The bend changes the plane wave's by 1.3 % at most, and the decay of (1,1) by 2 %, measured.
     """
     part = Bent(curvature=25.0, torsion=30.0, length=0.01)
     own = bent_modes(AIR, np.array([frequency]), part, radius=RADIUS, modes=NAMES, count=3)
     plane = axial_wavenumber(0, 0, frequency, RADIUS, AIR)
     np.testing.assert_allclose(own.wavenumber[0, 0], plane, rtol=0.02)
+    decay = -axial_wavenumber(1, 1, frequency, RADIUS, AIR).imag
+    np.testing.assert_allclose(-own.wavenumber[0, 1:].imag, [decay, decay], rtol=0.03)
 
 
 def test_more_bent_modes_than_are_computed_are_refused():

@@ -177,9 +177,11 @@ def names(settings: FeatureSettings) -> tuple[str, ...]:
 
 
 def _radii(cycles: xr.Dataset, default: float) -> Array:
-    """Return the bore's radius of each cycle in m: a label, the recording's own, or the default."""
+    """Return the bore's radius of each cycle in m: of a label, the recording, or the default."""
     if "bore_radius" in cycles:
         given = cycles["bore_radius"].values
+    elif "inner_diameter" in cycles:
+        given = cycles["inner_diameter"].values / 2
     else:
         given = np.full(cycles.sizes["cycle"], cycles.attrs.get("bore_radius", default))
     check_argument("bore_radius", given, BORE_RADII)

@@ -179,20 +179,20 @@ def tetrahedral_mesh(
     edge = whole.thickness * _edge_lengths(z, size, whole.outer.extents[1])
     check_thickness(piece, whole, edge)
     best, least = None, 1.0  # a mesh with a node off a plane, which counts as 1, is never accepted
-    refused = []
+    refused = 0
     for _ in range(ATTEMPTS):
         points, tetrahedra = _tetrahedralised(piece, z, edge, whole.thickness)
         try:
             mesh, off_surface = quadratic(points, tetrahedra, planes, whole, symmetric)
-        except ConfigError as error:  # not two walls
-            refused.append(error)
+        except ConfigError:  # not two walls
+            refused += 1
+            if refused == ATTEMPTS:
+                raise
             continue
         if off_surface < least and qualities(mesh.points, mesh.elements).min() > MIN_QUALITY:
             best, least = mesh, off_surface
         if least <= MAX_OFF_SURFACE:
             break
-    if len(refused) == ATTEMPTS:
-        raise refused[-1]
     if best is None:
         raise ConfigError(
             f"the wall could not be filled with well-shaped tetrahedra in {ATTEMPTS} attempts; "

@@ -9,24 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
-from acoustube.air import Air, air_at
+from acoustube.air import Air, air_at, neighbouring_air
 from acoustube.base.checks import BORE, TEMPERATURE, Optional, Reals, Several, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ, MS
 from acoustube.inversion.paths import Path, StraightPath
-from acoustube.inversion.quantiser import linearised
+from acoustube.inversion.quantiser import common_rounding, linearised
 from acoustube.inversion.tables import MOST_MODES
 from acoustube.inversion.wrap import Wrap, WrappedPath
 from acoustube.ranging import Rangefinder
-from acoustube.ranging.analogue import anti_alias, sent_spectrum
+from acoustube.ranging.analogue import HALF_WIDTH, anti_alias, sent_spectrum
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.modes.grid_modes import mode_numbers
 from acoustube.waves.scattering import Complex
 
-HALF_WIDTH = 1 / 7
-"""Half width of the inverted band, relative to the carrier frequency: 36 to 48 kHz about 42 kHz."""
 CHIRP_BAND = 0.6
 """Half width of the inverted band, relative to the bandwidth of the drive. It applies where this
 band is wider than that of :data:`HALF_WIDTH`."""
@@ -36,8 +34,6 @@ AFTER_CLIPPING, FADE, SETTLED = 0.1e-3, 0.2e-3, 0.3e-3
 """Times in s: `AFTER_CLIPPING` is from the end of clipping to the start of the samples' fade-in,
 `FADE` is the duration of the fade-in, and `SETTLED` is from its end to the first sample of the
 baseband that is used."""
-DITHER = 0.1
-"""Rms noise in counts below which the rounding error is neither white nor independent."""
 QUIET_SHARE = 0.3
 """Fraction of a cycle, at its end, from which the cycle's offset is estimated."""
 TUBE = Number(0.01, 100.0, "m")
@@ -223,21 +219,22 @@ class Baseband:
     def noise(self, n_cycles: int) -> float:
         """Return the variance of a baseband sample of the mean of cycles, in counts squared.
 
-        Thermal noise and dithered rounding errors are white, and independent from cycle to cycle.
+        Thermal noise and the dithered part of the rounding error are white, and independent from
+        cycle to cycle.
         """
         variance, band = self._thermal**2, len(self.bins) * self.step / (self.rate / 2)
-        if self.rangefinder.quantised and self._thermal >= DITHER:
-            variance += 1 / 12
+        if self.rangefinder.quantised:
+            variance += 1 / 12 - common_rounding(self._thermal)
         # The bins of a folded band hold both halves, and its samples are real.
         return 2 * self.freedom**2 * max(variance / n_cycles, 1e-12) * band + self.rounding
 
     @property
     def rounding(self) -> float:
-        """Variance of a baseband sample due to rounding without dither, in counts squared.
+        """Variance of a baseband sample due to rounding that noise does not dither, counts squared.
 
-        The whole rounding error is then in the band of the signal, and the same in all cycles.
+        This part of the rounding error is in the band of the signal, and the same in all cycles.
         """
-        return self.freedom / 6 * (self.rangefinder.quantised and self._thermal < DITHER)
+        return 2 * self.freedom * common_rounding(self._thermal) * self.rangefinder.quantised
 
     @checked(counts=Reals(ndim=2))
     def of_cycles(self, counts: NDArray[np.generic]) -> tuple[Complex, float]:
@@ -352,9 +349,8 @@ class Baseband:
                 [axial_wavenumber(*one, self.frequency, self.radius, air) for one in numbers], -1
             )
 
-        half = 0.5
-        low, high = (at(air_at(self.temperature + d)) for d in (-half, half))
-        return at(self.air), (high - low) / (2 * half)
+        cold, warm, apart = neighbouring_air(self.temperature)
+        return at(self.air), (at(warm) - at(cold)) / apart
 
     def _path(self, wrap: Wrap | None) -> Path:
         m = min(MOST_MODES, len(self.modes))
@@ -396,5 +392,5 @@ def _edges(n: int, width: int) -> Array:
 
 def _speeds(temperature: float) -> tuple[float, float]:
     """Return the speed of sound in m/s and its derivative by temperature in m/(s K)."""
-    low, here, high = (air_at(temperature + d).sound_speed for d in (-0.5, 0.0, 0.5))
-    return here, high - low
+    cold, warm, apart = neighbouring_air(temperature)
+    return air_at(temperature).sound_speed, (warm.sound_speed - cold.sound_speed) / apart

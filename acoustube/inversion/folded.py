@@ -24,16 +24,10 @@ from acoustube.base.checks import checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ
-from acoustube.inversion.baseband import (
-    HALF_WIDTH,
-    TAPER,
-    Baseband,
-    half_width,
-    is_compressed,
-)
+from acoustube.inversion.baseband import TAPER, Baseband, is_compressed
 from acoustube.inversion.wrap import Wrap
 from acoustube.ranging import Rangefinder
-from acoustube.ranging.analogue import sent_spectrum
+from acoustube.ranging.analogue import HALF_WIDTH, oversampling, sent_spectrum
 from acoustube.waves.scattering import Complex
 
 HALF_BAND = 0.13
@@ -132,8 +126,7 @@ def baseband_of(
     The parameters and errors are those of :class:`acoustube.inversion.Baseband`, and for a folded
     band also those of :class:`FoldedBaseband`. The band of a chirp is not folded, but refused.
     """
-    carrier = getattr(rangefinder.drive, "frequency", rangefinder.resonance)
-    below = carrier + half_width(rangefinder) < rangefinder.sampling_rate / 2
-    below = below or is_compressed(rangefinder)  # a folded chirp is refused
+    # A folded chirp is refused.
+    below = oversampling(rangefinder) == 1 or is_compressed(rangefinder)
     kind = Baseband if below else FoldedBaseband
     return kind(rangefinder, radius, length, temperature, modes, n_samples, wrap)

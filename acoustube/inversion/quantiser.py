@@ -21,6 +21,8 @@ from acoustube.base.types import Array
 
 HARMONICS = 3
 """Number of terms of the staircase's Fourier series."""
+DITHER = 0.1
+"""Rms noise in counts below which the rounding error is neither white nor independent."""
 LEAST_NOISE, MOST_NOISE = 0.19, 0.6
 """Least rms noise in counts at which the staircase can be inverted, and largest at which it needs
 to be."""
@@ -30,6 +32,15 @@ BISECTIONS = 20
 """Bisections of an interval of one count, by which an offset is found to 1e-6 counts."""
 LARGEST_STEP = 0.3
 """Largest change of a sample in an iteration, in counts."""
+
+
+def common_rounding(noise: float) -> float:
+    """Return the variance of the rounding error that is equal in all cycles, in counts squared.
+
+    It is the whole error, 1/12, if the noise before rounding, in counts (rms), is below
+    :data:`DITHER`, and 0 otherwise.
+    """
+    return 1 / 12 if noise < DITHER else 0.0
 
 
 class Linearised(NamedTuple):

@@ -227,11 +227,11 @@ class ContactTracker:
         """Return the parameters' variance due to errors that are the same in all cycles.
 
         Shape (n, n_parameters). Noise averages out over cycles. The errors of model and clutter,
-        which are also part of the weights, do not. With the Fisher information I of a cycle, they
-        leave the covariance I^-1 (I - N) I^-1, where N is the covariance of the score that is due
-        to noise alone.
+        and rounding without dither, which are also part of the weights, do not. With the Fisher
+        information I of a cycle, they leave the covariance I^-1 (I - N) I^-1, where N is the
+        covariance of the score that is due to noise alone.
         """
-        noise = self.model.base.noise(1)
+        noise = self.model.base.noise(1) - self.model.base.rounding
         p = found.branches.parameters
         prior = np.zeros(p)
         prior[p - len(NUISANCES) :] = 1 / self.model.priors.deviations**2

@@ -48,8 +48,10 @@ PASSBAND = 0.8
 """End of the anti-alias filter's passband, as a fraction of the Nyquist frequency."""
 DRIVE_OVERSAMPLING = 16
 """Oversampling factor in the transform of a drive without a closed-form spectrum."""
+HALF_WIDTH = 1 / 7
+"""Half width of the band of a burst, relative to its carrier: 36 to 48 kHz about 42 kHz."""
 FOLDED_OVERSAMPLING = 4
-"""Least sampling rate in the computation of an aliased carrier, relative to its frequency."""
+"""Least sampling rate in the computation of an aliased band, relative to its carrier."""
 PERIOD_IN_RECORDS = 2
 """Period of the discrete Fourier transform, in lengths of the record."""
 
@@ -265,9 +267,9 @@ def response(
     ``send H E + gain H^2 E (p - 1) / (1 + r)``, to which the clutter is added as a part of the
     incident wave (p - 1) / (1 + r). It is computed in the frequency domain and filtered without
     delay, by a raised cosine that falls from 1 at 0.8 of the Nyquist frequency to 0 at that
-    frequency. No finer step is needed, and nothing is aliased. Only a drive whose frequency is half
-    the sampling rate or more is sampled without such a filter, as on EchoTube's board: computed at
-    a multiple of the rate, of which every sample but the recorded ones is dropped.
+    frequency. No finer step is needed, and nothing is aliased. Only a burst whose band exceeds half
+    the sampling rate is sampled without such a filter, as on EchoTube's board: it is computed at a
+    multiple of the rate, and the samples between the recorded ones are dropped.
     """
     every = oversampling(rangefinder)
     rate, n = every * rangefinder.sampling_rate, every * rangefinder.n_samples
@@ -302,9 +304,15 @@ def response(
 
 
 def oversampling(rangefinder: Rangefinder) -> int:
-    """Return the number of computed samples for each recorded one; 1 if no carrier is aliased."""
-    carrier, rate = getattr(rangefinder.drive, "frequency", 0.0), rangefinder.sampling_rate
-    return 1 if carrier < rate / 2 else ceil(FOLDED_OVERSAMPLING * carrier / rate)
+    """Return the number of computed samples for each recorded one; 1 if no band is aliased.
+
+    The band of a burst or of tones is aliased if it exceeds half the sampling rate, that of a chirp
+    if its carrier does.
+    """
+    drive, rate = rangefinder.drive, rangefinder.sampling_rate
+    carrier = getattr(drive, "frequency", 0.0)
+    highest = carrier if isinstance(drive, Chirp) else (1 + HALF_WIDTH) * carrier
+    return 1 if highest < rate / 2 else ceil(FOLDED_OVERSAMPLING * carrier / rate)
 
 
 def sent_spectrum(

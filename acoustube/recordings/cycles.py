@@ -90,19 +90,20 @@ def read_own_netcdf(path: Path) -> xr.Dataset | None:
     return data.assign_attrs(data.attrs | {"sampling_rate": rate})
 
 
-def own_attributes(path: Path) -> Named:
-    """Return the attributes of a netCDF file that acoustube wrote; none of a file of another kind.
+def own_statements(path: Path) -> xr.Dataset | None:
+    """Return attributes and variables of a netCDF file that acoustube wrote, but for the signal.
 
-    Raise ConfigError if the file is damaged, or a result and not a recording.
+    The variables are those of one value, or of one per cycle. None is returned for a file of
+    another kind. Raise ConfigError if the file is damaged, or a result and not a recording.
     """
     if _own_names(path) is None:
-        return {}
+        return None
     check_result(path, ADVICE)
     with (
         reading(path, "cannot be read as netCDF", ADVICE),
         xr.open_dataset(path, engine="h5netcdf") as data,
     ):
-        return {str(name): value for name, value in data.attrs.items()}
+        return data[[n for n, one in data.variables.items() if set(one.dims) <= {"cycle"}]].load()
 
 
 def _own_names(path: Path) -> set[str] | None:

@@ -18,18 +18,12 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.files import check_netcdf_name
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.foreign.limits import reading
-from acoustube.base.foreign.results import open_result, settings_in
+from acoustube.base.foreign.results import settings_in
 from acoustube.base.names import PATH, PATHS
 from acoustube.base.netcdf import write_dataset
 from acoustube.base.version import __version__
 from acoustube.recordings.checks import check_statements
-from acoustube.recordings.cycles import (
-    ADVICE,
-    LABELS,
-    assemble,
-    own_attributes,
-    read_own_netcdf,
-)
+from acoustube.recordings.cycles import LABELS, assemble, own_statements, read_own_netcdf
 from acoustube.recordings.formats import KINDS, load
 from acoustube.recordings.tables import Note, separate_known
 
@@ -104,13 +98,14 @@ def read(
         netcdf = path.suffix.lower() == ".nc"
         if netcdf and not over and (whole := read_own_netcdf(path)) is not None:
             return whole
-        own = own_attributes(path) if netcdf else {}
+        own = own_statements(path) if netcdf else None
         contents = load(path)
         notes = [str(value) for value in contents.values() if isinstance(value, Note)]
         arrays = {
             name: one
             for name, one in contents.items()
-            if not isinstance(one, Note) and (name not in own or name == "sampling_rate")
+            if not isinstance(one, Note)
+            and (own is None or name not in own.attrs or name == "sampling_rate")
         }
         known, others = separate_known(arrays)
         named, labels = separate_known(over.pop("labels", {}))
@@ -122,33 +117,34 @@ def read(
             )
         found = assemble(path, known | named | over, others, labels, notes)
         elsewhere = {*named, *labels, *(["temperature"] if "temperature" in over else [])}
-        return _with_own(path, found, own, elsewhere) if own else found
+        return found if own is None else _with_own(path, found, own, elsewhere)
 
 
-def _with_own(path: Path, data: xr.Dataset, own: dict[str, Any], elsewhere: set[str]) -> xr.Dataset:
+def _with_own(path: Path, data: xr.Dataset, own: xr.Dataset, elsewhere: set[str]) -> xr.Dataset:
     """Return a recording with what its file states, which acoustube wrote, where it holds.
 
     These are its attributes, and its variables of one value per cycle as they were written, except
     those of the names stated `elsewhere`. The error of the thermometer is not that of a given
     temperature.
     """
-    notes = f"{own.get('warnings', '')}\n{data.attrs['warnings']}".split("\n")
-    kept = own | {
+    notes = f"{own.attrs.get('warnings', '')}\n{data.attrs['warnings']}".split("\n")
+    kept = own.attrs | {
         "sampling_rate": data.attrs["sampling_rate"],
         "warnings": "\n".join(dict.fromkeys(note for note in notes if note)),
     }
-    if "temperature" in elsewhere and "rangefinder" in own:
-        stated = settings_in(own["rangefinder"], path) | {"temperature_bias": 0.0}
+    if "temperature" in elsewhere and "rangefinder" in kept:
+        stated = settings_in(kept["rangefinder"], path) | {"temperature_bias": 0.0}
         kept["rangefinder"] = json.dumps(stated)
-    whole = open_result(path, ADVICE)
     each = [
-        name for name, one in whole.variables.items()
-        if one.dims == ("cycle",) and one.size == data.sizes["cycle"] and name not in elsewhere
+        name for name, one in own.variables.items()
+        if one.ndim and one.size == data.sizes["cycle"] and name not in elsewhere
     ]  # fmt: skip
     if each:
-        data = data[[n for n in data.data_vars if n in elsewhere or n in ("signal", "temperature")]]
-        data = data.assign({name: whole.variables[name] for name in each})
-        data = data.set_coords([name for name in each if name in whole.coords])
+        single = {name for name, one in own.variables.items() if not one.ndim}
+        known = {"signal", "temperature", *elsewhere, *single}
+        data = data[[name for name in data.data_vars if name in known]]
+        data = data.assign({name: own.variables[name] for name in each})
+        data = data.set_coords([name for name in each if name in own.coords])
     data = data.assign_attrs(kept)
     check_statements(path, data, LABELS)
     return data

@@ -49,7 +49,9 @@ SAME_AIR = 0.25
 """Largest difference of air temperature in K up to which a forward model is reused, and untouched
 cycles are averaged."""
 BLOCK = 50
-"""Number of untouched cycles in whose mean temperature the thermometer's noise is negligible."""
+"""Least number of untouched cycles of a recording whose temperature is averaged, if it has as many.
+
+The thermometer's noise is negligible in their mean."""
 LENGTH = Number(1, 1000, "cm", "length of the tube")
 
 
@@ -98,13 +100,12 @@ class Sensor:
     def temperature_bias(self, recorded: xr.Dataset | None = None) -> float:
         """Return the mean error of the thermometer in K, reading minus air.
 
-        It is that of the sensor if known. Otherwise it is the error that `recorded` states, as a
-        recording of :func:`acoustube.ranging.record` does. It is 0 if nothing states it, and for
-        datasets, whose sessions have errors drawn about 0.
+        It is that of the sensor if known. Otherwise it is the error that `recorded` states, as
+        recordings of :func:`acoustube.ranging.record` and datasets do, and 0 if nothing states it.
         """
         if self.rangefinder is not None and self.known_thermometer:
             return self.rangefinder.temperature_bias
-        if recorded is None or "session" in recorded:
+        if recorded is None:
             return 0.0
         stated = recorded.attrs.get("rangefinder", "{}")
         own = settings_in(stated, "the attribute rangefinder of a recording")
@@ -258,8 +259,8 @@ class RecordingInverter:
             if key not in self._reflectors:
                 free = self._untouched(path, data)
                 parts = [
-                    reflectors(self._baseband(rangefinder, length, air, data.sizes["time"]), cycles)
-                    for cycles, air in free
+                    reflectors(self._baseband(rangefinder, length, own, data.sizes["time"]), cycles)
+                    for cycles, own in free
                 ]
                 self._reflectors[key] = mean_reflectors(parts, [len(one) for one, _ in free])
             clutter = self._reflectors[key].clutter(base)
@@ -309,9 +310,9 @@ class RecordingInverter:
                     "alike"
                 )
             air = one["temperature"].values - self.sensor.temperature_bias(one)
-            for start in range(0, len(air), BLOCK):
-                part = slice(start, start + BLOCK)
-                found.append((one["signal"].values[part], air[part]))
+            blocks = max(1, len(air) // BLOCK)
+            parts = (np.array_split(values, blocks) for values in (one["signal"].values, air))
+            found += zip(*parts, strict=True)
         groups: list[list[tuple[Any, Any]]] = []
         for cycles, air in sorted(found, key=lambda known: float(np.mean(known[1]))):
             if not groups or np.mean(air) - np.mean(groups[-1][0][1]) > SAME_AIR:

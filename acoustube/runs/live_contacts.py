@@ -118,8 +118,9 @@ class Follower:
         self.before: float | None = None
         self.n_skipped = 0
         self.times: list[float] = []
-        ready = self._tracker(None)  # also with a rest: what it refuses, it refuses now
-        self.tracker: ContactTracker | None = None if how.rest else ready
+        self.tracker: ContactTracker | None = self._tracker(None)
+        if how.rest:  # it was made to refuse now what it refuses, not after the rest
+            self.tracker = None
 
     @property
     def learning(self) -> bool:

@@ -13,7 +13,7 @@ from acoustube import signals
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.units import CM, MM, PERCENT, US
-from acoustube.ranging import Burst, Chirp, Rangefinder, Tones, blockage, record
+from acoustube.ranging import Burst, Chirp, Rangefinder, blockage, record
 from acoustube.ranging.analogue import oversampling, within
 from acoustube.ranging.rangefinder import Drive
 from acoustube.runs.sensor_file import (
@@ -46,7 +46,7 @@ fraction of untouched cycles with a false echo. The first prominence with so few
 LOW_PASS = 10e3
 """Highest cut-off in Hz of the envelope's low-pass; half the carrier is used if it is lower."""
 OUTSIDE = 0.9
-"""Highest frequency of the simulated closures, as a fraction of half the sampling rate."""
+"""Highest frequency of the simulated closures, as a fraction of half the rate of computation."""
 
 
 def is_twin(path: Path) -> bool:
@@ -167,18 +167,19 @@ def processing_of(sensor: Path | None) -> Processing:
     """
     if sensor is None:
         return Processing()
-    drive = rangefinder_in(read_document(sensor), sensor).drive
-    if isinstance(drive, Tones):
-        raise ConfigError(
-            f"{sensor}: the compressed pulse of kind = 'Tones' has no single maximum, by which an "
-            "echo would be located; use Chirp here, or acoustube invert"
-        )
-    return _processing_for(drive)
+    try:
+        return _processing_for(rangefinder_in(read_document(sensor), sensor).drive)
+    except ValueError as error:
+        raise ConfigError(f"{sensor}: {error}") from error
 
 
 def _processing_for(drive: Drive) -> Processing:
     """Return the settings to process echoes of a burst or a chirp with."""
-    assert isinstance(drive, Burst | Chirp)
+    if not isinstance(drive, Burst | Chirp):
+        raise ConfigError(
+            "the compressed pulse of kind = 'Tones' has no single maximum, by which an echo would "
+            "be located; use Chirp here, or acoustube invert"
+        )
     own = Processing(
         frequency=drive.frequency, cutoff=min(LOW_PASS, drive.frequency / 2),
         pulse_cycles=drive.duration * drive.frequency,

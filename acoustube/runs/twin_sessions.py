@@ -166,8 +166,8 @@ def _known(
 ) -> tuple[Array, Array] | None:
     """Return values and deviations of a parameter, (n,), from the n sessions that determine it.
 
-    None is returned unless n is 2 or more. A zero has no logarithm, such as a noise that rounding
-    hides, and is left out.
+    None is returned unless n is 2 or more. Zeros, such as a noise that rounding hides, have no
+    logarithm and are left out.
     """
     found = []
     for document, path in zip(documents, paths, strict=True):

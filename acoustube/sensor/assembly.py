@@ -91,7 +91,7 @@ def assembled(
     quiet = QUIET * n / (TAPER * inside.sum())
     period = next_fast_len(n + int(np.ceil(quiet)), real=True)
     damped, received, inside = _received(r, rate, period, available)
-    damping = -2 * pi * float(damped[0].imag)
+    damping = log(WRAPAROUND_ATTENUATION) * rate / period
     damped = damped[inside]
     press = press_tables(library, damped, stretch, tolerance)
     if wrap is None:

@@ -275,7 +275,7 @@ def check_room(tubes: Sequence[Helix], outer_diameter: float) -> None:
         raise ConfigError(
             f"n_tubes = {len(tubes)} over a length of {CM * tubes[0].length:.4g} cm would be "
             f"{MM * room:.1f} mm apart, less than their {MM * outer_diameter:g} mm outer diameter; "
-            "use fewer loops, a larger pitch or fewer tubes"
+            "use fewer loops, a larger pitch or fewer tubes, or start them at even angles"
         )
 
 

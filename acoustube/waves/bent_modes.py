@@ -44,8 +44,8 @@ forward waves: it decides among waves that do not decay."""
 class BentModes:
     """Forward modes of a bent bore, and their scattering at a joint with a straight bore.
 
-    Propagating modes are first, then evanescent ones (of a wavenumber with an imaginary part larger
-    than the real one), both in the order of decreasing real part of the wavenumber.
+    Propagating modes are first, in the order of decreasing real part of the wavenumber. Evanescent
+    ones, whose wavenumber has the larger imaginary part, follow in the order of increasing decay.
 
     Attributes
     ----------
@@ -162,7 +162,8 @@ def bent_modes(
     forward = np.argsort(beta.imag - PREFERRED * beta.real, axis=1)[:, :size]
     beta = np.take_along_axis(beta, forward, 1)
     # With losses or torsion the wavenumbers of evanescent modes have real parts too.
-    order = np.lexsort((-beta.real, np.abs(beta.imag) > beta.real), axis=1)
+    evanescent = np.abs(beta.imag) > beta.real
+    order = np.lexsort((np.where(evanescent, -beta.imag, -beta.real), evanescent), axis=1)
     forward, beta = np.take_along_axis(forward, order, 1), np.take_along_axis(beta, order, 1)
     vectors = np.take_along_axis(vectors, forward[:, None], 2)
     p, v = vectors[:, :size], vectors[:, size:]

@@ -50,7 +50,8 @@ class Budget:
         Reflection coefficient of the absorbing layer for a mode 1 % above cut-on, in dB; it is
         smaller for modes farther above their cut-on. None if no end absorbs by such a layer.
     plane_reflection : float or None
-        Upper bound of the reflection coefficient of the plane wave there, in dB, or None.
+        Upper bound of the reflection coefficient of the plane wave of the carrier there, in dB, or
+        None.
     ringing : float
         Highest pressure in the last twentieth of the recording, in dB relative to the highest of
         the whole recording.
@@ -173,6 +174,12 @@ def error_budget(
     exact = cut_on_frequency(1, 1, radius, air.sound_speed)
     lowest = section_cut_ons(cells, 1, air.sound_speed, 2)[1]
     spacing = cells.spacing[2]
+    absorption = plane = None
+    if time_step is not None:
+        absorption, plane = absorber_reflection(), PLANE_WAVE_REFLECTION
+        if lossy:
+            fading = fading_reflection(air, radius, frequency)
+            absorption, plane = LOSSY_REFLECTION, max(plane, fading)
     return Budget(
         cells_per_wavelength=air.sound_speed / (highest * max(cells.spacing)),
         delay_bias=0.0
@@ -180,16 +187,8 @@ def error_budget(
         else delay_bias(frequency, spacing, time_step, air.sound_speed),
         section_error=float(area / (pi * radius**2) - 1),
         cut_on_error=float(lowest / exact - 1),
-        absorption=None
-        if time_step is None
-        else LOSSY_REFLECTION
-        if lossy
-        else absorber_reflection(),
-        plane_reflection=None
-        if time_step is None
-        else max(PLANE_WAVE_REFLECTION, fading_reflection(air, radius, frequency))
-        if lossy
-        else PLANE_WAVE_REFLECTION,
+        absorption=absorption,
+        plane_reflection=plane,
         ringing=_ringing(np.asarray(pressure)),
     )
 
@@ -220,7 +219,7 @@ def fading_reflection(air: Air, radius: float, frequency: float) -> float:
     """
     layer = sqrt(air.viscous_diffusivity / (2 * pi * frequency)) / radius
     share = abs(1 - (air.heat_capacity_ratio - 1) / sqrt(air.prandtl))
-    return 20 * log10(max(share * layer / 2, REFLECTION))
+    return 20 * log10(max(share * layer / 2, 1e-12))
 
 
 def delay_bias(frequency: float, spacing: float, time_step: float, sound_speed: float) -> float:

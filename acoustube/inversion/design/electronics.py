@@ -12,7 +12,8 @@ from jax.scipy.special import fresnel
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ
-from acoustube.inversion.baseband import CHIRP_BAND, DITHER, HALF_WIDTH, half_width
+from acoustube.inversion.baseband import CHIRP_BAND, HALF_WIDTH, half_width
+from acoustube.inversion.quantiser import common_rounding
 from acoustube.ranging import Burst, Chirp, Rangefinder
 
 BAND_EDGE, BAND_ROLL = 0.875, 0.084
@@ -79,12 +80,13 @@ def electronics_of(rangefinder: Rangefinder, ends: int = 1, average: int = 1) ->
     r = rangefinder
     drive = _drive(r)
     noise = r.noise * 2**r.bits / r.full_scale
-    variance = noise**2
+    variance = noise**2 / average
     if r.quantised:
-        # Rounding that noise does not dither is an error within the band of the signal.
+        # Rounding that noise does not dither is an error within the band, the same in all cycles.
         share = min(2 * half_width(r) / (r.sampling_rate / 2), 1.0)
-        variance += 1 / 12 / (1.0 if noise >= DITHER else share)
-    level = r.gain * 2**r.bits / r.full_scale / np.sqrt(max(variance / average, 1e-12))
+        common = common_rounding(noise)
+        variance += (1 / 12 - common) / average + common / share
+    level = r.gain * 2**r.bits / r.full_scale / np.sqrt(max(variance, 1e-12))
     return Electronics(
         drive.frequency, drive.duration * drive.frequency, r.quality_factor, level,
         r.sampling_rate, max(2 * r.send / r.full_scale, 1.0), ends, drive.bandwidth,

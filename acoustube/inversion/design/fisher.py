@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acoustube.air import TEMPERATURES, air_at
+from acoustube.air import air_at, neighbouring_air
 from acoustube.base.checks import TEMPERATURE, Optional, Several, checked
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
@@ -184,12 +184,10 @@ def by_temperature(frequency: Array, radius: float, temperature: float) -> tuple
     temperature : float
         In degC.
     """
-    coldest, warmest = TEMPERATURES
-    low, high = max(temperature - 0.5, coldest), min(temperature + 0.5, warmest)
-    cold, warm = air_at(low), air_at(high)
+    cold, warm, apart = neighbouring_air(temperature)
     before, after = (axial_wavenumber(0, 0, frequency, radius, air) for air in (cold, warm))
-    faster = np.log(warm.sound_speed / cold.sound_speed) / (high - low)
-    return np.asarray((after - before) / (high - low), complex), float(faster)
+    faster = np.log(warm.sound_speed / cold.sound_speed) / apart
+    return np.asarray((after - before) / apart, complex), float(faster)
 
 
 def _presses(

@@ -138,8 +138,8 @@ def fit_material(presses: Sequence[Press]) -> Material:
     ]
     # A force not stated, or left out, is the library's at the echo's depth, for the wall's modulus.
     scale, within, wrong = _stiffness(presses, told, sure, force)
-    stands_in = ~np.isfinite(force)
-    stands_in[list(wrong)] |= np.isfinite(within[list(wrong)])
+    doubted = np.isin(np.arange(len(force)), list(wrong))
+    stands_in = ~np.isfinite(force) | (doubted & np.isfinite(within))
     load = np.where(stands_in, np.exp(scale.value) * np.array(usual, float), force)
     zero, compliance = _ground(told, sure, stated, load)
     yields = compliance.value > SIGNIFICANT * compliance.deviation

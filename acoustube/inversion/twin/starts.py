@@ -78,19 +78,20 @@ def start_points(model: EchoModel, data: Data, prior: Prior) -> list[Point]:
 def _placed(model: EchoModel, data: Data, prior: Prior, shared: Array) -> Point:
     """Return a point with the delays, levels and phases of the closures that fit best."""
     delays, _ = _delays(model, data, shared)
-    common, left = _common(model, prior, delays)
+    common, left = _common(model, prior, shared, delays)
     shared, local = shared.copy(), np.zeros((len(delays), len(LOCAL)))
     shared[COMMON] += common
     local[:, 0] = 0.5 * SPEED * left
     return _levelled(model, data, Point(shared, local))
 
 
-def _common(model: EchoModel, prior: Prior, delays: Array) -> tuple[Array, Array]:
+def _common(model: EchoModel, prior: Prior, shared: Array, delays: Array) -> tuple[Array, Array]:
     """Return the changes of :data:`COMMON` that explain delays (n,) best, and what they leave.
 
-    The delays are in s. The prior deviations limit both. Large delays, as of wrong labels, count by
-    their magnitude.
+    The delays are in s, and `shared` are the parameters for which they were found. The prior limits
+    the changed parameters. Large delays, as of wrong labels, count by their magnitude.
     """
+    away = (prior.mean - shared)[COMMON]
     air = float(model.temperatures.mean()) - ABSOLUTE_ZERO
     design = np.stack([np.ones_like(delays), -model.places / (SPEED * air)], axis=1)
     precision = np.diag(prior.deviation[COMMON] ** -2.0)
@@ -99,7 +100,8 @@ def _common(model: EchoModel, prior: Prior, delays: Array) -> tuple[Array, Array
     found: Array = np.zeros(len(COMMON))
     for _ in range(REWEIGHTED):
         weighted = design.T * weight
-        found = np.asarray(np.linalg.solve(weighted @ design + precision, weighted @ delays), float)
+        right = weighted @ delays + precision @ away
+        found = np.asarray(np.linalg.solve(weighted @ design + precision, right), float)
         weight = 1 / (scale * np.maximum(np.abs(delays - design @ found), scale))
     return found, delays - design @ found
 

@@ -108,7 +108,7 @@ class Solid:
         return Shape(np.concatenate(points), faces, *outlines)
 
     def outer_wall(self, displacement: Array) -> Array:
-        """Return points (n, 3) of the modelled part's outer wall, on both sides of x = 0, in m.
+        """Return points (n, 3) in m of the outer wall, of one half if that alone is modelled.
 
         `displacement` is that of the nodes in m, (n_nodes, 3).
         """

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from acoustube.air import sound_speed
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
 from acoustube.base.rules import Choice, Number, Section, nearest, setting
@@ -125,9 +126,13 @@ class Goal(Section):
         """Required reach, separation, deviation of position and nearest press, all in m."""
         return self.reach_m, self.separation, self.place_deviation, self.nearest_m
 
-    def samples_at(self, rate: float) -> int:
-        """Return the number of samples of a cycle, at a rate in Hz, up to the tube end's echo."""
-        return int(rate * (2 * self.reach_m / 340 + 4e-3))
+    def samples_at(self, rate: float, duration: float) -> int:
+        """Return the number of samples of a cycle at a rate in Hz, to the end of the last echo.
+
+        `duration` is that of the drive in s; one below 2 ms counts as 2 ms.
+        """
+        slowest = min(340.0, sound_speed(self.temperature_c))
+        return int(rate * (2 * self.reach_m / slowest + max(duration, 2e-3) + 2e-3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -254,11 +259,6 @@ class DesignGoal:
                 "has a diameter twice", setting="tools_mm", value=list(goal.tools_mm),
                 advice="give each once",
             )  # fmt: skip
-        if goal.samples_at(max(free.rates)) > MOST_SAMPLES:
-            raise ConfigError(
-                f"makes cycles of over {MOST_SAMPLES} samples", setting="rate_khz",
-                value=max(free.rate_khz), advice="lower it or reach_m",
-            )  # fmt: skip
         for bandwidth in free.bandwidths:
             low, high = free.chirp_carrier(bandwidth)
             if not bandwidth <= WIDEST_CHIRP * low or low > high:
@@ -271,6 +271,11 @@ class DesignGoal:
             raise ConfigError(
                 f"last over {MS * LONGEST_PULSE:g} ms at {free.carrier_khz[0]:g} kHz",
                 setting="cycles", value=free.cycles[1], advice="lower it or raise carrier_khz",
+            )  # fmt: skip
+        if goal.samples_at(max(free.rates), free.cycles[1] / free.carrier[0]) > MOST_SAMPLES:
+            raise ConfigError(
+                f"makes cycles of over {MOST_SAMPLES} samples", setting="rate_khz",
+                value=max(free.rate_khz), advice="lower it or reach_m",
             )  # fmt: skip
         lists = {"quality_factor": free.quality_factor, "rate_khz": free.rate_khz,
                  "bandwidth_khz": free.bandwidth_khz, "transducer": free.transducer,

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from acoustube.air import air_at
 from acoustube.base.types import Array
 from acoustube.base.units import CM, KHZ, MM, PERCENT
 from acoustube.inversion.baseband import CHIRP_BAND
@@ -18,8 +16,6 @@ from acoustube.ranging import LOUDSPEAKER, Burst, Chirp, Rangefinder, audible_le
 from acoustube.runs.config.goal import LEAST_RATE, DesignGoal
 from acoustube.runs.design.tubes import TubeSpec
 
-USUAL_SPEED, USUAL_DRIVE = 340.0, 2e-3
-"""Speed of sound in m/s and duration of a drive in s, for which the goal's cycles suffice."""
 LEAST_PRODUCT = 3.0
 """Least product of duration and bandwidth of a chirp; with a smaller one it is almost a burst."""
 
@@ -152,11 +148,8 @@ def rangefinder_of(
     Other parameters are those of the default rangefinder or of
     :data:`acoustube.ranging.rangefinder.LOUDSPEAKER`.
     """
-    goal, duration = design.goal, float(cycles) / float(carrier)
-    # The goal's cycles are long enough for drives of 2 ms and for air of 340 m/s.
-    slower = max(_slowness(goal.temperature_c) - 1 / USUAL_SPEED, 0.0)
-    more = 2 * goal.reach_m * slower + max(duration - USUAL_DRIVE, 0.0)
-    samples = goal.samples_at(choice.rate) + int(np.ceil(more * choice.rate))
+    duration = float(cycles) / float(carrier)
+    samples = design.goal.samples_at(choice.rate, duration)
     usual = LOUDSPEAKER if choice.transducer == "loudspeaker" else Rangefinder()
     drive: Burst | Chirp = Burst(frequency=float(carrier), cycles=float(cycles))
     if choice.bandwidth > 0:
@@ -167,12 +160,6 @@ def rangefinder_of(
         usual, drive=drive, resonance=float(carrier), quality_factor=float(choice.quality),
         sampling_rate=float(choice.rate), bits=int(choice.bits), n_samples=max(samples, 512),
     )  # fmt: skip
-
-
-@lru_cache(maxsize=8)
-def _slowness(temperature: float) -> float:
-    """Return the reciprocal of the speed of sound in s/m at a temperature in degC."""
-    return 1 / air_at(temperature).sound_speed
 
 
 def suits(carrier: float, cycles: float, choice: Choice) -> bool:

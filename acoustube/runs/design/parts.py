@@ -11,7 +11,7 @@ from acoustube.base.units import KHZ
 from acoustube.inversion.design import Electronics, Pairs, PressedTube, predict, predict_pairs
 from acoustube.inversion.design.electronics import electronics_of
 from acoustube.inversion.design.prediction import on_device, score
-from acoustube.runs.config.goal import DesignGoal
+from acoustube.runs.config.goal import LONGEST_PULSE, DesignGoal
 from acoustube.runs.design.candidates import Candidate, choice_of, suits
 from acoustube.runs.design.search import contacts_of, known_of, modulus_of
 
@@ -74,8 +74,11 @@ def ranges_of(
         many = many._replace(**{part: own * factors})
         values = FACTORS if part == "level" else own * FACTORS * scale
         scores = score(predict(known, many), design.goal.asked)
-        drives = zip(*map(np.ravel, (many.carrier, many.cycles, many.bandwidth)), strict=True)
-        fits = [suits(f, n, choice._replace(bandwidth=width)) for f, n, width in drives]
+        drives = zip(*map(np.asarray, (many.carrier, many.cycles, many.bandwidth)), strict=True)
+        fits = [
+            n / f <= LONGEST_PULSE and suits(f, n, choice._replace(bandwidth=width))
+            for f, n, width in drives
+        ]
         scores = np.where(fits, scores, np.inf)
         found[name] = within(values, scores, 1.0 if part == "level" else own * scale)
     if design.goal.support == "table":

@@ -42,8 +42,8 @@ CARRIED = {
     "shear_modulus": "Pa", "tube_length": "m", "carrier_frequency": "Hz",
 }  # fmt: skip
 """Labels that a cycle has from its case, with their units."""
-SINCE = "time since the trigger"
-"""Description of the time axis, zero of which is the start of the drive but for a twin's delay."""
+SINCE = "time; the drive starts at zero, or at the trigger of a twin"
+"""Description of the time axis of cycles."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +130,7 @@ class Recipe:
             words += [self.offset_deviation, *self.reflectors]
         if self.spread or self.clutter_spread or self.young_modulus is not None:
             words += [self.spread, self.clutter_spread, self.young_modulus]
-        if self.trigger != 0:
+        if self.trigger != 0 or (self.rangefinder is not None and self.rangefinder.lead > 0):
             words += ["trigger", self.trigger]
         return digest(words)
 

@@ -211,7 +211,7 @@ def _places(share: Any, count: int) -> Any:
     """Return the numbers, from 0, of the equal parts of 0 to 1 in which shares lie."""
     import numpy as np
 
-    return np.minimum(share * float(count), count - 1.0).astype(int)
+    return np.minimum((share * count).astype(int), count - 1)
 
 
 @checked(path=Optional(PATH), over=Optional(Mapping))

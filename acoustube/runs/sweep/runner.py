@@ -60,7 +60,7 @@ class Runner:
                 if group.depth in done.result.at:
                     tasks += self._scatter(path, group, done.result.at[group.depth])
                 elif group.depth > 0:
-                    self._fail(group.cases, done.result.failed.get(group.depth, ""), group)
+                    self._fail(group.cases, done.result.failed[group.depth], group)
             return tasks
 
         def failed(reason: str) -> None:

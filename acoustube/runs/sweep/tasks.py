@@ -117,8 +117,8 @@ def _reached(
 ) -> tuple[Indentation | None, dict[float, str], bool]:
     """Return a press, the reasons why it may lack some depths, and whether it was cached.
 
-    Depths at which an indenter beside the axis would meet the floor are left out. The press is
-    None if there are no others.
+    Depths that are refused, as where an indenter beside the axis would meet the floor, are left
+    out, the deepest first. The press is None if there are no others.
     """
     failed: dict[float, str] = {}
     for count in range(len(depths), 0, -1):

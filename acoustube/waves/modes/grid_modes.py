@@ -9,8 +9,9 @@ k^2 the layer's eigenvalue in 1/s2 times dt^2, s = 4 sin^2(Omega/2) and X = 4 si
 
 h is the transfer function from the pressure to its half-integral; kappa, d and d_z are coefficients
 of the losses at the wall, to first order in the boundary layers, and b is the factor of the air's
-absorption. Without losses this dispersion relation is exact on the grid: ingoing and outgoing waves
-can be separated, or moved to another plane, without an error of discretisation.
+absorption. Without losses, in a section symmetric about x = 0, this dispersion relation is exact
+on the grid: ingoing and outgoing waves can be separated, or moved to another plane, without an
+error of discretisation.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ import numpy as np
 
 from acoustube.air import Air
 from acoustube.waves.grid.polyhedron import Array
+from acoustube.waves.grid.straight_part import SYMMETRY_TOLERANCE
 from acoustube.waves.modes.grid_modes import DuctModes, duct_modes, labels, phases
 from acoustube.waves.scheme.operator import on_device
 from acoustube.waves.scheme.problem import Setup
@@ -104,11 +105,18 @@ def named_mode(setup: Setup, layer: int, name: str, air: Air) -> tuple[DuctModes
     Raises
     ------
     ValueError
-        If the grid resolves no mode of that name.
+        If the grid resolves no mode of that name, or the section has no symmetry about x = 0, from
+        which modes other than the plane one have their names.
     """
     dx, dy, _ = setup.cells.spacing
     half = setup.cells.origin[0] == 0.0
     volume = setup.cells.volume_fraction
+    section = volume[:, :, layer]
+    if name != "00" and not half and np.abs(section - section[::-1]).max() > SYMMETRY_TOLERANCE:
+        raise ValueError(
+            f'mode = "{name}" is not defined, because the section is not symmetric about x = 0; '
+            "turn or move the lumen"
+        )
     highest = air.sound_speed / (2 * pi * CELLS_PER_RADIAN * dx)
     modes = duct_modes(setup.scheme, volume, layer, highest, whole=not half)
     radius = sqrt(volume[:, :, layer].sum() * dx * dy * (2 if half else 1) / pi)
