@@ -147,7 +147,7 @@ def sound_speed(temperature: float) -> float:
 def neighbouring_air(temperature: float) -> tuple[Air, Air, float]:
     """Return air half a kelvin colder and warmer than a temperature in degC, and the difference.
 
-    The difference in K is 1, or 0.5 at an end of the range of :func:`air_at`.
+    The difference in K is 1, down to 0.5 within half a kelvin of an end of :func:`air_at`'s range.
     """
     low, high = max(temperature - 0.5, TEMPERATURES[0]), min(temperature + 0.5, TEMPERATURES[1])
     return air_at(low), air_at(high), high - low

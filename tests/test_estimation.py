@@ -248,7 +248,9 @@ def test_bore_of_a_sweeps_cycles_is_that_of_their_features(recorded):
     levels = [
         estimation.feature_table(one.assign(given), ECHO)["features"].sel(feature="level").item()
         for given in (
-            {"bore_radius": ("cycle", [2.5e-3])}, {"inner_diameter": ("cycle", [5e-3])}, {},
+            {"bore_radius": ("cycle", [2.5e-3])},
+            {"inner_diameter": ("cycle", [5e-3], {"units": "m"})},
+            {"inner_diameter": ("cycle", [5.0])},
         )
     ]  # fmt: skip
     assert levels[0] == levels[1]

@@ -13,7 +13,18 @@ from scipy.signal import hilbert
 from acoustube import signals
 from acoustube.air import air_at
 from acoustube.base.netcdf import write_dataset
-from acoustube.ranging import IDEAL, Burst, Chirp, Rangefinder, blockage, clutter, record, response
+from acoustube.ranging import (
+    IDEAL,
+    Burst,
+    Chirp,
+    Rangefinder,
+    Tones,
+    blockage,
+    clutter,
+    record,
+    response,
+)
+from acoustube.ranging.analogue import oversampling
 from acoustube.signals.peaks import _refine
 from acoustube.waves import (
     Bent,
@@ -438,6 +449,18 @@ def test_band_above_half_the_sampling_rate_is_undersampled(lead, carrier, every)
     (t, volts), (_, exact) = (response(closed, one) for one in (board, fine))
     assert t == pytest.approx(np.arange(1200) / 80e3)
     assert volts == pytest.approx(exact[::every], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("rate", "drive", "every"),
+    [
+        (96e3, Burst(), 1), (95e3, Burst(), 2), (66e3, Tones(), 1), (66e3, Burst(), 3),
+        (80e3, SampledPulse(pressure=np.hanning(20), rate=1e6), 3),
+    ],
+)  # fmt: skip
+def test_bands_are_aliased_above_half_the_sampling_rate(rate, drive, every):
+    """A burst's by a seventh of the carrier to either side; tones' if their middle is above."""
+    assert oversampling(Rangefinder(sampling_rate=rate, drive=drive)) == every
 
 
 def test_lead_delays_the_record():

@@ -556,7 +556,8 @@ def test_argument_or_label_keeps_the_labels_and_numbers_of_our_own_cycles(tmp_pa
 
 def test_label_of_one_value_in_our_own_file_is_that_of_each_cycle(tmp_path):
     write(record([], n_cycles=2).assign(depth=((), 2e-3, {"units": "m"})), tmp_path / "a.nc")
-    assert read(tmp_path / "a.nc", temperature=30.0)["depth"].values.tolist() == [2e-3, 2e-3]
+    for words in ({}, {"temperature": 30.0}):
+        assert read(tmp_path / "a.nc", **words)["depth"].values.tolist() == [2e-3, 2e-3]
 
 
 def test_channel_is_chosen_by_argument_or_sidecar(tmp_path):

@@ -180,7 +180,7 @@ def _radii(cycles: xr.Dataset, default: float) -> Array:
     """Return the bore's radius of each cycle in m: of a label, the recording, or the default."""
     if "bore_radius" in cycles:
         given = cycles["bore_radius"].values
-    elif "inner_diameter" in cycles:
+    elif "inner_diameter" in cycles and cycles["inner_diameter"].attrs.get("units") == "m":
         given = cycles["inner_diameter"].values / 2
     else:
         given = np.full(cycles.sizes["cycle"], cycles.attrs.get("bore_radius", default))

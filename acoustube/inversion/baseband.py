@@ -27,7 +27,7 @@ from acoustube.waves.scattering import Complex
 
 CHIRP_BAND = 0.6
 """Half width of the inverted band, relative to the bandwidth of the drive. It applies where this
-band is wider than that of :data:`HALF_WIDTH`."""
+band is wider than that of :data:`acoustube.ranging.analogue.HALF_WIDTH`."""
 TAPER = 1 / 6
 """Fraction of the band over which each of its ends is tapered."""
 AFTER_CLIPPING, FADE, SETTLED = 0.1e-3, 0.2e-3, 0.3e-3

@@ -124,9 +124,9 @@ def baseband_of(
     """Return the baseband of a rangefinder, folded if its band exceeds half the sampling rate.
 
     The parameters and errors are those of :class:`acoustube.inversion.Baseband`, and for a folded
-    band also those of :class:`FoldedBaseband`. The band of a chirp is not folded, but refused.
+    band also those of :class:`FoldedBaseband`. The band of a chirp or of tones is not folded, but
+    refused.
     """
-    # A folded chirp is refused.
     below = oversampling(rangefinder) == 1 or is_compressed(rangefinder)
     kind = Baseband if below else FoldedBaseband
     return kind(rangefinder, radius, length, temperature, modes, n_samples, wrap)

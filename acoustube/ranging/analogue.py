@@ -306,13 +306,14 @@ def response(
 def oversampling(rangefinder: Rangefinder) -> int:
     """Return the number of computed samples for each recorded one; 1 if no band is aliased.
 
-    The band of a burst or of tones is aliased if it exceeds half the sampling rate, that of a chirp
-    if its carrier does.
+    The band of a burst is aliased if it exceeds half the sampling rate, that of a chirp or of tones
+    if its middle does. The carrier of a pulse of samples is a resonant transducer's resonance.
     """
     drive, rate = rangefinder.drive, rangefinder.sampling_rate
-    carrier = getattr(drive, "frequency", 0.0)
-    highest = carrier if isinstance(drive, Chirp) else (1 + HALF_WIDTH) * carrier
-    return 1 if highest < rate / 2 else ceil(FOLDED_OVERSAMPLING * carrier / rate)
+    usual = rangefinder.resonance if rangefinder.quality_factor > 0 else 0.0
+    carrier = getattr(drive, "frequency", usual)
+    highest = carrier if isinstance(drive, Chirp | Tones) else (1 + HALF_WIDTH) * carrier
+    return 1 if highest <= rate / 2 else ceil(FOLDED_OVERSAMPLING * carrier / rate)
 
 
 def sent_spectrum(

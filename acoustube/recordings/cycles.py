@@ -84,6 +84,8 @@ def read_own_netcdf(path: Path) -> xr.Dataset | None:
     rate = _rate(path, known, (signal.shape[1],))
     check_samples(path, signal)
     check_temperature(path, data["temperature"].values)
+    single = [name for name in LABELS if name in data and not data[name].ndim]
+    data = data.assign({name: data[name].broadcast_like(data["temperature"]) for name in single})
     check_statements(path, data, LABELS)
     if "time" not in data.coords:
         data = data.assign_coords(time=_time(signal.shape[1], rate))

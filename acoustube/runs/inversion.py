@@ -49,9 +49,8 @@ SAME_AIR = 0.25
 """Largest difference of air temperature in K up to which a forward model is reused, and untouched
 cycles are averaged."""
 BLOCK = 50
-"""Least number of untouched cycles of a recording whose temperature is averaged, if it has as many.
-
-The thermometer's noise is negligible in their mean."""
+"""Least number of untouched cycles whose temperatures are averaged; a recording of fewer is one
+block. The thermometer's noise is negligible in the mean of so many."""
 LENGTH = Number(1, 1000, "cm", "length of the tube")
 
 

@@ -167,8 +167,9 @@ def processing_of(sensor: Path | None) -> Processing:
     """
     if sensor is None:
         return Processing()
+    drive = rangefinder_in(read_document(sensor), sensor).drive
     try:
-        return _processing_for(rangefinder_in(read_document(sensor), sensor).drive)
+        return _processing_for(drive)
     except ValueError as error:
         raise ConfigError(f"{sensor}: {error}") from error
 

@@ -48,7 +48,7 @@ class Shape:
         Number of places along a wrapped tube at which the scattering of contacts is tabulated; 1
         for a straight tube.
     every : int
-        Number of computed samples for each one of the cycle; 1 if the carrier is not aliased.
+        Number of computed samples for each one of the cycle; 1 if no band is aliased.
     """
 
     number: tuple[int, ...]

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acoustube.air import Air
 from acoustube.base.checks import BORE, WAVES, Several, checked
@@ -35,6 +36,9 @@ LARGEST_ZERO = 4.5
 """Largest j'mn, zero of a Bessel function's derivative, of the modes in the sums. With 8 the
 wavenumbers of (0,0) and (1,1) in the sleeve paper's tube at 42 kHz change by 0.02 per metre at
 most."""
+LEAN = 0.1
+"""Weight of the real part of the wavenumber, relative to the decay, in the order of evanescent
+modes: it decides within pairs of nearly equal decay."""
 PREFERRED = 1e-6
 """Weight of the real part of the wavenumber, relative to the imaginary part, in the choice of
 forward waves: it decides among waves that do not decay."""
@@ -161,9 +165,7 @@ def bent_modes(
     beta = 1j * growth
     forward = np.argsort(beta.imag - PREFERRED * beta.real, axis=1)[:, :size]
     beta = np.take_along_axis(beta, forward, 1)
-    # With losses or torsion the wavenumbers of evanescent modes have real parts too.
-    evanescent = np.abs(beta.imag) > beta.real
-    order = np.lexsort((np.where(evanescent, -beta.imag, -beta.real), evanescent), axis=1)
+    order = _order(beta)
     forward, beta = np.take_along_axis(forward, order, 1), np.take_along_axis(beta, order, 1)
     vectors = np.take_along_axis(vectors, forward[:, None], 2)
     p, v = vectors[:, :size], vectors[:, size:]
@@ -198,3 +200,13 @@ def bent_modes(
         symmetry=own,
         signs=own[place],
     )
+
+
+def _order(beta: Complex) -> NDArray[np.intp]:
+    """Return the order of forward modes of wavenumbers in 1/m, (n_f, m), as in :class:`BentModes`.
+
+    With losses or torsion the wavenumbers of evanescent modes have real parts too.
+    """
+    evanescent = np.abs(beta.imag) > beta.real
+    decay = -beta.imag - LEAN * beta.real
+    return np.lexsort((np.where(evanescent, decay, -beta.real), evanescent), axis=1)

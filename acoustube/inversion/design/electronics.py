@@ -12,9 +12,10 @@ from jax.scipy.special import fresnel
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ
-from acoustube.inversion.baseband import CHIRP_BAND, HALF_WIDTH, half_width
+from acoustube.inversion.baseband import CHIRP_BAND, half_width
 from acoustube.inversion.quantiser import common_rounding
 from acoustube.ranging import Burst, Chirp, Rangefinder
+from acoustube.ranging.analogue import HALF_WIDTH
 
 BAND_EDGE, BAND_ROLL = 0.875, 0.084
 """Sigmoid in place of the tapers of the inversion's band: distance of its middle from the carrier,

@@ -60,6 +60,7 @@ def ranges_of(
             high += 1
         return float(values[low]), float(values[high])
 
+    longest = max(LONGEST_PULSE, usual.cycles / usual.carrier) * (1 + 1e-9)
     found = {}
     for name, part, scale in (
         ("carrier (kHz)", "carrier", KHZ), ("cycles", "cycles", 1.0),
@@ -76,7 +77,7 @@ def ranges_of(
         scores = score(predict(known, many), design.goal.asked)
         drives = zip(*map(np.asarray, (many.carrier, many.cycles, many.bandwidth)), strict=True)
         fits = [
-            n / f <= LONGEST_PULSE and suits(f, n, choice._replace(bandwidth=width))
+            n / f <= longest and suits(f, n, choice._replace(bandwidth=width))
             for f, n, width in drives
         ]
         scores = np.where(fits, scores, np.inf)

@@ -130,6 +130,7 @@ class Recipe:
             words += [self.offset_deviation, *self.reflectors]
         if self.spread or self.clutter_spread or self.young_modulus is not None:
             words += [self.spread, self.clutter_spread, self.young_modulus]
+        # Cycles with a lead began at time zero once: they get another name.
         if self.trigger != 0 or (self.rangefinder is not None and self.rangefinder.lead > 0):
             words += ["trigger", self.trigger]
         return digest(words)

@@ -87,6 +87,11 @@ def _last_straight_layer(cells: CutCells, last: int, inwards: int) -> int:
     return rim + inwards * (straight - 1)
 
 
+def is_mirrored(section: Array) -> bool:
+    """Return whether the cells of a whole section, (n_x, n_y), are symmetric about x = 0."""
+    return bool(np.abs(section - section[::-1]).max() <= SYMMETRY_TOLERANCE)
+
+
 def _check_sections(first: Array, second: Array) -> None:
     """Validate that two sections are the same, and symmetric about x = 0."""
     if np.abs(first - second).max() > SYMMETRY_TOLERANCE:
@@ -94,7 +99,7 @@ def _check_sections(first: Array, second: Array) -> None:
             "the lumen's two ends differ in section, so that their modes have no common names; "
             "let both ends have the same section"
         )
-    if np.abs(first - first[::-1]).max() > SYMMETRY_TOLERANCE:
+    if not is_mirrored(first):
         raise ConfigError(
             "the lumen's ends are not symmetric about x = 0, which the names of their modes "
             "require; move or turn it so that they are"

@@ -10,7 +10,7 @@ import numpy as np
 
 from acoustube.air import Air
 from acoustube.waves.grid.polyhedron import Array
-from acoustube.waves.grid.straight_part import SYMMETRY_TOLERANCE
+from acoustube.waves.grid.straight_part import is_mirrored
 from acoustube.waves.modes.grid_modes import DuctModes, duct_modes, labels, phases
 from acoustube.waves.scheme.operator import on_device
 from acoustube.waves.scheme.problem import Setup
@@ -68,7 +68,8 @@ def with_probes(setup: Setup, probes: tuple[Probe, ...], air: Air) -> Setup:
     Raises
     ------
     ValueError
-        If a mode is not resolved by the grid, or a point does not lie in the air.
+        If a mode is not resolved by the grid or not defined, see :func:`named_mode`, or a point
+        does not lie in the air.
     """
     scheme = setup.scheme
     weights = [
@@ -112,7 +113,7 @@ def named_mode(setup: Setup, layer: int, name: str, air: Air) -> tuple[DuctModes
     half = setup.cells.origin[0] == 0.0
     volume = setup.cells.volume_fraction
     section = volume[:, :, layer]
-    if name != "00" and not half and np.abs(section - section[::-1]).max() > SYMMETRY_TOLERANCE:
+    if name != "00" and not half and not is_mirrored(section):
         raise ValueError(
             f'mode = "{name}" is not defined, because the section is not symmetric about x = 0; '
             "turn or move the lumen"
@@ -169,7 +170,7 @@ def launching(setup: Setup, wave: Array, mode: str, air: Air) -> tuple[Setup, Ar
     Raises
     ------
     ValueError
-        If the grid resolves no mode of that name.
+        If the grid resolves no mode of that name, or it is not defined, see :func:`named_mode`.
 
     Notes
     -----
