@@ -50,17 +50,17 @@ def test_finished_library_is_left_as_it_is_by_a_pool_of_workers(folder):
 
 
 def test_error_of_the_thermometer_is_what_a_file_or_a_simulated_recording_states(tmp_path):
-    """Sensor's file first; 0 if neither states it, and for the drawn errors of a dataset."""
+    """Sensor's file first; 0 if neither states it. A dataset states the mean over its sessions."""
     silent, stated = tmp_path / "silent.toml", tmp_path / "stated.toml"
     silent.write_text("sampling_rate = 250e3")
     stated.write_text("temperature_bias = -0.3")
     simulated = record([], Rangefinder(temperature_bias=0.7))
     recorded = simulated.assign_attrs(source="recording")
     del recorded.attrs["rangefinder"]
-    drawn = simulated.assign_coords(session=("cycle", ["1"]))
+    dataset = simulated.assign_coords(session=("cycle", ["1"]))
     for path, data, bias in (
         (stated, simulated, -0.3), (stated, recorded, -0.3), (silent, simulated, 0.7),
-        (silent, recorded, 0.0), (silent, None, 0.0), (silent, drawn, 0.0),
+        (silent, recorded, 0.0), (silent, None, 0.0), (silent, dataset, 0.7),
     ):  # fmt: skip
         assert read_sensor(path).temperature_bias(data) == bias
     assert Sensor().temperature_bias(simulated) == 0.7
