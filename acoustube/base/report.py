@@ -146,7 +146,8 @@ class TimeLeft:
 
 def counted(number: int, noun: str) -> str:
     """Return a number and its noun, such as ``1 case`` or ``3 cases``."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+    ending = "es" if noun.endswith("s") else "s"
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}{ending}"
 
 
 def time_in_words(seconds: float) -> str:

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.interrupts import watched_interrupts
-from acoustube.base.report import Reporter
+from acoustube.base.report import Reporter, counted
 from acoustube.base.rules import Number
 from acoustube.base.units import CM, PERCENT
 from acoustube.base.writing import write_all
@@ -175,7 +175,7 @@ def _print_presses(found: FittedSensor, report: Reporter) -> None:
             report.note(f"{state.source}: the press{where}: {reasons}")
     measured = sum(isfinite(state.press.depth) for state in found.pressed)
     used = len(found.pressed) - len(material.left_out)
-    presses = "1 press" if len(found.pressed) == 1 else f"{len(found.pressed)} presses"
+    presses = counted(len(found.pressed), "press")
     report.line(
         f"{presses}: the depths of {measured} are estimated from their echoes; "
         f"the forces of {used} determine the wall's modulus"

@@ -337,6 +337,23 @@ def needed_band(library: Library, base: Baseband) -> tuple[float, float]:
     return float(low) * (1 - BAND_MARGIN), float(high) * (1 + BAND_MARGIN)
 
 
+def check_band(
+    library: Library,
+    base: Baseband,
+    advice: str = "make the baseband with the recordings' rangefinder, or a library of that band",
+) -> None:
+    """Raise :class:`ConfigError` if a library's band does not contain that of a baseband.
+
+    The frequencies of the baseband are converted to the speed of sound of the library.
+    """
+    (low, high), (least, most) = library.band, needed_band(library, base)
+    if least < low or most > high:
+        raise ConfigError(
+            f"the library covers {KHZ * low:.4g} to {KHZ * high:.4g} kHz, and the rangefinder at "
+            f"{base.temperature:.3g} degC needs {KHZ * least:.4g} to {KHZ * most:.4g} kHz; {advice}"
+        )
+
+
 def _check_library(library: Library, base: Baseband) -> None:
     """Raise unless the bore, the modes and the band of a library are those of a baseband."""
     if abs(library.radius / base.radius - 1) > SAME_BORE:
@@ -350,10 +367,4 @@ def _check_library(library: Library, base: Baseband) -> None:
             f"the first modes of the library are {', '.join(own)}, and those of the baseband "
             f"{', '.join(given)}; make the baseband with library.modes"
         )
-    (low, high), (least, most) = library.band, needed_band(library, base)
-    if least < low or most > high:
-        raise ConfigError(
-            f"the library covers {KHZ * low:.4g} to {KHZ * high:.4g} kHz, and the baseband at "
-            f"{base.temperature:.3g} degC needs {KHZ * least:.4g} to {KHZ * most:.4g} kHz; make "
-            "the baseband with the rangefinder of the recordings, or a library of that band"
-        )
+    check_band(library, base)

@@ -15,7 +15,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.results import settings_in
 from acoustube.base.report import Reporter
 from acoustube.base.rules import Number, nearest
-from acoustube.base.units import CM, KHZ, MM, PERCENT
+from acoustube.base.units import CM, MM, PERCENT
 from acoustube.inversion import (
     Baseband,
     Contact,
@@ -28,7 +28,7 @@ from acoustube.inversion import (
     baseband_of,
 )
 from acoustube.inversion.clutter import Reflectors, mean_reflectors, reflectors
-from acoustube.inversion.model import needed_band
+from acoustube.inversion.model import check_band
 from acoustube.ranging import Rangefinder
 from acoustube.recordings.reading import stated_length
 from acoustube.runs.config import read_document
@@ -52,6 +52,11 @@ BLOCK = 50
 """Least number of untouched cycles whose temperatures are averaged; a recording of fewer is one
 block. The thermometer's noise is negligible in the mean of so many."""
 LENGTH = Number(1, 1000, "cm", "length of the tube")
+BAND_ADVICE = (
+    "name the recordings' own rangefinder by --sensor, or make a library with its --frequency and "
+    "--temperature"
+)
+"""Advice where the band of a library does not contain that of the rangefinder."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,7 +257,7 @@ class RecordingInverter:
         if known is not None and abs(known[0] - air) < SAME_AIR:
             return known[1]
         base = self._baseband(rangefinder, length, air, data.sizes["time"])
-        check_band(self.tool_library, base)
+        check_band(self.tool_library, base, BAND_ADVICE)
         clutter = None
         if self.untouched:
             if key not in self._reflectors:
@@ -319,21 +324,6 @@ class RecordingInverter:
             groups[-1].append((cycles, air))
         joined = [[np.concatenate(part) for part in zip(*group, strict=True)] for group in groups]
         return [(cycles, float(np.mean(air))) for cycles, air in joined]
-
-
-def check_band(library: Library, base: Baseband) -> None:
-    """Raise :class:`ConfigError` if a library's band does not contain that of a baseband.
-
-    The frequencies of the baseband are converted to the speed of sound of the library.
-    """
-    (low, high), (least, most) = library.band, needed_band(library, base)
-    if least < low or most > high:
-        raise ConfigError(
-            f"the library covers {KHZ * low:.4g} to {KHZ * high:.4g} kHz, and the rangefinder "
-            f"at {base.temperature:.3g} degC needs {KHZ * least:.4g} to {KHZ * most:.4g} kHz; "
-            "name the recordings' own rangefinder by --sensor, or make a library with its "
-            "--frequency and --temperature"
-        )
 
 
 def rows_of(

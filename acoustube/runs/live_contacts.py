@@ -19,13 +19,14 @@ from acoustube.inversion import (
     baseband_of,
     measured_clutter,
 )
+from acoustube.inversion.model import check_band
 from acoustube.ranging import Rangefinder
 from acoustube.recordings.echotube_stream import PULSE_WIDTH_BYTES
 from acoustube.runs.inversion import (
+    BAND_ADVICE,
     CONTACT_COLUMNS,
     USUAL_LENGTH,
     Sensor,
-    check_band,
     contact_cells,
     read_sensor,
 )
@@ -112,7 +113,7 @@ class Follower:
             rangefinder, self.tool_library.radius, sensor.length or USUAL_LENGTH, air,
             self.tool_library.modes, n_samples, sensor.wrap,
         )  # fmt: skip
-        check_band(self.tool_library, self.base)
+        check_band(self.tool_library, self.base, BAND_ADVICE)
         self.untouched: list[NDArray[np.uint8]] = []
         self.began: float | None = None
         self.before: float | None = None
