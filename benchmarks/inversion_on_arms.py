@@ -7,7 +7,7 @@ studies and inverted together, with a library of the rod that is equivalent to t
 bent tube, made beforehand by
 
     acoustube library --indenter 19.2 --depth 0.5:8:0.25 --out rigid
-    acoustube library --indenter 19.2 --depth 0.5:12:0.25 --config soft.toml --out soft
+    acoustube library --indenter 19.2 --depth 0.5:14:0.25 --config soft.toml --out soft
 
 (19.2 mm is `arm.tool` of the sleeve; soft.toml states ``support = "free"``, ``layer_mm = 20``
 and ``layer_mpa = 0.06`` under ``[indentation]``). The library's presses are on the study's mesh, by

@@ -1,5 +1,6 @@
 """Settings for all tests."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -25,6 +26,9 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 os.environ["ACOUSTUBE_CACHE"] = str(Path(__file__).parents[1] / ".pytest_cache/d/acoustube")
 cache.keep_compiled_code()
 compile_quickly()  # as the command line does
+# What JAX has traced, and the modules of all tests, are a million objects or more, which stay. At
+# the usual thresholds the collector walks through them so often that it takes 8 % of the time.
+gc.set_threshold(100_000, 20, 50)
 
 
 def pytest_report_header():
@@ -34,20 +38,18 @@ def pytest_report_header():
     return f"acoustube {acoustube.__version__} of {Path(acoustube.__file__).parent}"
 
 
+def pytest_sessionfinish():
+    """Leave nothing to the five rounds of the collector with which pytest ends."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Keep tests that share a fixture on one worker; the others start with the slow ones."""
+    """Run the tests of a file on one worker: they share fixtures, presses and what JAX traces."""
     for item in items:
-        definitions = item._fixtureinfo.name2fixturedefs.values()
-        if any(found[-1].scope == "module" for found in definitions):
+        if not item.get_closest_marker("xdist_group"):
             item.add_marker(pytest.mark.xdist_group(item.path.stem))
-    items.sort(key=_rank)
-
-
-def _rank(item):
-    if item.get_closest_marker("xdist_group"):
-        return 1
-    return 0 if item.get_closest_marker("slow") else 2
 
 
 @pytest.fixture(autouse=True)

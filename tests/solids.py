@@ -2,9 +2,11 @@
 
 import itertools
 
+import jax
 import numpy as np
 from jax.tree_util import Partial
 
+from acoustube.indentation import element
 from acoustube.indentation.assembly import build_model, evaluate
 from acoustube.indentation.material import Material, mooney_rivlin, neo_hookean
 from acoustube.indentation.mesh import Mesh
@@ -12,6 +14,9 @@ from acoustube.indentation.reference_element import HEX20
 
 HEXAHEDRA_AT_4_MM = 2.1159
 """Force in N of the default tube under a 25 mm rod, free, on the default mesh of hexahedra."""
+
+quadrature = jax.jit(element.quadrature, static_argnames="reference")
+"""Compiled as a whole, since JAX would compile each of its thirty operations for each shape."""
 
 
 class OpenLumen:

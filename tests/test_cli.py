@@ -219,6 +219,7 @@ def test_bad_option_is_refused_in_one_sentence(tmp_path, capsys, words, parts):
         (["--shape", "cone"], ["cone", "rod", "punch", "sphere"]),
         (["--shape", "sphere", "--yaw", "10"], ["yaw_deg = 10 turns a sphere"]),
         (["--offset", "2"], ["offset_mm = 2 moves a rod"]),
+        (["--shape", "sphere", "--offset", "30"], ["offset_mm = 30", "misses the tube"]),
         (["--frequency", "42"], ["--frequency"]),
         (["--tube", ""], ["surface = '' is not a name"]),
         (["--out", "."], ["name a new folder"]),
@@ -228,6 +229,15 @@ def test_bad_option_is_refused_in_one_sentence(tmp_path, capsys, words, parts):
 def test_bad_option_of_a_press_is_refused_in_one_sentence(tmp_path, capsys, words, parts):
     assert_refused(["indent", *words], capsys, *parts)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_simulated_indenter_that_misses_the_tube_is_refused_before_anything_is_printed(
+    tmp_path, capsys
+):
+    path = tmp_path / "a.toml"
+    path.write_text('[indentation]\nshape = "punch"\noffset_mm = -25\n')
+    assert_refused(["simulate", "--config", path], capsys, "25 mm punch misses the tube")
+    assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize(

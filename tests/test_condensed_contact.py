@@ -1,11 +1,13 @@
 """Newton steps with exact contact, against the whole problem and dense matrices."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
 from scipy import sparse
 
-from acoustube.indentation import Indenter, MeshSize, assembly, linear_solver, newton, press
+from acoustube.indentation import Indenter, Layer, MeshSize, assembly, linear_solver, newton, press
 from acoustube.indentation.condensed_contact import CondensedContact
 from acoustube.indentation.result import bodies_at
 from acoustube.tube import Tube
@@ -46,21 +48,21 @@ def left_over(tube, tangent, contact, state, step):
     moved = np.zeros_like(displacement)
     moved[model.free] = step
 
-    shapes = model.mesh.face.shapes
+    reference = model.mesh.face
     blocks = list(zip(model.outer_faces, model.outer_areas, strict=True))
 
     def touch(at):
         total = np.zeros_like(at)
         for nodes, area in blocks:
             faces = (model.mesh.points + at)[nodes]
-            _, local = assembly._touch(faces, area, shapes, contact.bodies)
+            _, local = assembly._touch(faces, area, reference, contact.bodies)
             np.add.at(total, nodes, np.asarray(local))
         return total[model.free]
 
     linear = np.zeros_like(displacement)
     for nodes, area in blocks:
         faces = (model.mesh.points + displacement)[nodes]
-        local = assembly._touch_tangents(faces, area, shapes, contact.bodies)
+        local = assembly._touch_tangents(faces, area, reference, contact.bodies)
         within = np.einsum("fab,fb->fa", local, moved[nodes].reshape(len(local), -1))
         np.add.at(linear, nodes, np.asarray(within).reshape(*nodes.shape, 3))
     wall = tangent @ step - linear[model.free]
@@ -94,7 +96,7 @@ def test_definiteness_is_that_of_the_whole_tangent(tube, monkeypatch):
     found = []
     for factor in (2.0, 0.5, 0.0, -0.3, -1.0, -3.0):
         changed = known + (factor - 1) * (known + 0.1 * known.max())
-        monkeypatch.setattr(contact, "_laws", lambda _, changed=changed: (None, changed))
+        monkeypatch.setattr(contact, "_laws", lambda *_, changed=changed: (None, changed))
         whole = tangent.toarray()
         whole[np.ix_(contact._zone, contact._zone)] += contact._zone_stiffness(changed)
         lowest = np.linalg.eigvalsh(whole)[0]
@@ -104,9 +106,13 @@ def test_definiteness_is_that_of_the_whole_tangent(tube, monkeypatch):
     assert False in found
 
 
-def test_contact_solved_exactly_saves_factorisations_and_changes_no_state(tube, monkeypatch):
-    """0.1 mm deeper: the same state, with half as many factorisations or fewer."""
+@pytest.mark.parametrize(
+    "layer", [None, Layer(thickness=5e-3, modulus=1e6)], ids=["floor", "layer"]
+)
+def test_contact_solved_exactly_saves_factorisations_and_changes_no_state(tube, layer, monkeypatch):
+    """0.1 mm deeper, on floor or layer: the same state, half as many factorisations or fewer."""
     untouched, model, state = tube
+    untouched = dataclasses.replace(untouched, layer=layer)
     bodies, factorise, count = bodies_at(untouched, PRESSED), linear_solver.factorise, []
 
     def counted(*arguments):

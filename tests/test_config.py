@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import pickle
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,6 +17,8 @@ from acoustube.air import sound_speed
 from acoustube.base.errors import ConfigError
 from acoustube.base.limits import CLEARANCE, JOINED_CLEARANCE, pressed_reach
 from acoustube.base.rules import Choice, File, Number
+from acoustube.indentation import Indenter
+from acoustube.indentation.indenters import touch_height
 from acoustube.runs import simulate as simulation
 from acoustube.runs.config import (
     Config,
@@ -103,7 +106,9 @@ def test_unknown_choice_is_refused_with_the_choices(section, name, rule, wrong):
 
 
 def test_stiffness_is_hardness_or_modulus_but_not_both():
-    assert TubeSettings(shear_modulus_mpa=0.4).shore_a is None
+    stiff = TubeSettings(shear_modulus_mpa=0.4)
+    assert stiff.shore_a is None
+    assert not hasattr(stiff, "hardness_shore_a")  # nothing else states the default hardness
     refused(lambda: TubeSettings(shear_modulus_mpa=0.4, shore_a=35), advice="give one of the two")
 
 
@@ -169,6 +174,42 @@ def test_press_alone_needs_no_sound(tmp_path):
 )
 def test_contradictions_of_the_press_are_refused(kind, settings, fields):
     refused(lambda: load_config(None, kind, **settings), **fields)
+
+
+@pytest.mark.parametrize("kind", [Config, Mechanics])
+@pytest.mark.parametrize(("shape", "diameter"), [("sphere", 5), ("sphere", 40), ("punch", 5)])
+def test_largest_offset_is_that_at_which_first_touch_is_found(shape, diameter, kind):
+    """On a circle of 4000 points, 1e-3 mm within the tube's, the search for it says the same."""
+    angle = np.linspace(0, 2 * np.pi, 4001)
+    circle = 5.55e-3 * np.stack([np.sin(angle), np.cos(angle), 0 * angle], axis=1)
+
+    def beside(offset):
+        return load_config(
+            None, kind, shape=shape, indenter_mm=diameter, depth_mm=0.05, offset_mm=offset
+        )
+
+    error = refused(lambda: beside(-40), setting="offset_mm", value=-40)
+    _, bound = error.allowed
+    for offset, expected in (
+        (bound - 0.1, nullcontext()),
+        (bound + 0.02, pytest.raises(ConfigError, match="misses")),
+    ):
+        indenter = Indenter(shape=shape, diameter=diameter * 1e-3, x=offset * 1e-3)
+        with expected:
+            touch_height(circle, indenter.gap())
+        with expected:
+            beside(offset)
+
+
+def test_an_indenter_that_would_reach_the_floor_beside_the_tube_is_refused():
+    """A 5 mm punch with its edge 0.25 mm, 8 mm beside the axis, touches sqrt(5.8^2 - 5.75^2) up.
+
+    The floor is then 0.76 - 0.25 + 5.55 = 6.06 mm below its lowest point; a layer adds to it.
+    """
+    beside = {"shape": "punch", "indenter_mm": 5, "offset_mm": 8, "support": "free"}
+    load_config(None, Mechanics, depth_mm=6.05, **beside)
+    refused(lambda: load_config(None, Mechanics, depth_mm=6.07, **beside), setting="depth_mm")
+    load_config(None, Mechanics, depth_mm=6.07, layer_mm=1, layer_mpa=1, **beside)
 
 
 def test_written_press_reads_back_equal(tmp_path):

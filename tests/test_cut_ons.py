@@ -16,7 +16,7 @@ from acoustube.waves.grid.small_cells import share_small_volumes
 from acoustube.waves.scheme.leapfrog import initial_state, march
 from acoustube.waves.scheme.operator import assemble, laplacian, with_halo
 from acoustube.waves.scheme.problem import prepare
-from acoustube.waves.scheme.time_step import largest_eigenvalue
+from acoustube.waves.scheme.time_step import _gershgorin, largest_eigenvalue
 
 AIR = air_at(20.0)
 OFFSETS = [(0.0, 0.0), (0.5, 0.5), (0.13, 0.37), (0.31, 0.07)]
@@ -145,7 +145,8 @@ def spectral_peaks(signal, time_step, lowest, highest):
 def test_stable_step_is_close_to_the_exact_limit():
     """The largest eigenvalue is compared with ARPACK's on one layer, within 1 %.
 
-    The step stays above 0.9 of that of a Cartesian grid.
+    Gershgorin's bound is the largest sum of a row's magnitudes. The step stays above 0.9 of that of
+    a Cartesian grid.
     """
     cells = share_small_volumes(slice_of_tube(16, (0.13, 0.37)))
     with jax.enable_x64(True):
@@ -157,6 +158,7 @@ def test_stable_step_is_close_to_the_exact_limit():
         return_eigenvectors=False,
     )[0]  # fmt: skip
     assert found == pytest.approx(exact, rel=0.01)
+    assert _gershgorin(operator) == pytest.approx(abs(matrix).sum(axis=1).max(), rel=1e-12)
     cells = cut_cells(pinched_tube(0.03, 0.6), 2 * BORE / 20, half=True)
     cartesian = cells.spacing[0] / (AIR.sound_speed * np.sqrt(3.0))
     assert 0.9 * cartesian < stable_step(cells, AIR) < cartesian

@@ -17,6 +17,7 @@ from solids import (
     mooney_rivlin_solid,
     neo_hookean_solid,
     nodal_forces,
+    quadrature,
 )
 
 from acoustube.indentation import element, linear_solver, newton
@@ -64,7 +65,7 @@ def cube():
 
 def rule_of(points, reference=HEX20):
     """Return the quadrature of one element."""
-    return jax.tree.map(np.asarray, element.quadrature(points[None], reference))
+    return jax.tree.map(np.asarray, quadrature(points[None], reference))
 
 
 def single(rule):
@@ -73,7 +74,7 @@ def single(rule):
 
 
 def assembled_forces(points, elements, displacement):
-    rule = element.quadrature(points[elements], HEX20)
+    rule = quadrature(points[elements], HEX20)
     _, forces = ENERGIES_AND_FORCES(displacement[elements], rule, MATERIAL)
     total = np.zeros_like(points)
     np.add.at(total, elements, forces)
@@ -81,7 +82,7 @@ def assembled_forces(points, elements, displacement):
 
 
 def energies(points, elements, displacement):
-    rule = element.quadrature(points[elements], HEX20)
+    rule = quadrature(points[elements], HEX20)
     return np.asarray(ENERGIES_AND_FORCES(displacement[elements], rule, MATERIAL)[0])
 
 
@@ -102,8 +103,7 @@ def test_volume_of_a_patch_does_not_depend_on_the_nodes_inside():
     points, elements, _ = patch()
     straight = swept_patch().points
     volumes = [
-        np.asarray(element.quadrature(p[elements], HEX20).weights).sum(axis=1)
-        for p in (points, straight)
+        np.asarray(quadrature(p[elements], HEX20).weights).sum(axis=1) for p in (points, straight)
     ]
     assert np.abs(volumes[0] - volumes[1]).max() > 1e-3 * volumes[1].min()
     assert volumes[0].sum() == pytest.approx(volumes[1].sum(), rel=1e-13)
@@ -119,7 +119,7 @@ def test_affine_displacement_is_reproduced_and_leaves_inner_nodes_free():
     points, elements, inside = patch()
     assert inside.sum() == 7  # one corner and six edges' middles
     displacement = points @ (STRETCH - np.eye(3)).T
-    rule = element.quadrature(points[elements], HEX20)
+    rule = quadrature(points[elements], HEX20)
     for i, nodes in enumerate(elements):
         f = element.deformation_gradients(displacement[nodes], rule.gradients[i])
         assert np.abs(np.asarray(f) - STRETCH).max() < 1e-12
@@ -137,7 +137,7 @@ def test_affine_displacement_of_straight_tetrahedra_leaves_inner_nodes_free():
     local = np.concatenate([corners[tets], np.einsum("mc,tci->tmi", weights, corners[tets])], 1)
     points, number = np.unique(np.round(local.reshape(-1, 3), 9), axis=0, return_inverse=True)
     elements = number.reshape(6, 10)
-    rule = element.quadrature(points[elements], TET10)
+    rule = quadrature(points[elements], TET10)
     assert np.asarray(rule.weights).min() > 0
     displacement = points @ (STRETCH - np.eye(3)).T
     _, forces = ENERGIES_AND_FORCES(displacement[elements], rule, MATERIAL)
@@ -158,7 +158,7 @@ def test_rigid_rotation_leaves_no_energy_and_no_force():
     """To round-off: energy below 1e-13 of K V, forces below 1e-12 of K times a cross-section."""
     points, elements, _ = patch()
     displacement = points @ (rotation() - np.eye(3)).T + [1e-3, 2e-3, -3e-3]
-    volume = np.asarray(element.quadrature(points[elements], HEX20).weights).sum()
+    volume = np.asarray(quadrature(points[elements], HEX20).weights).sum()
     assert abs(energies(points, elements, displacement).sum()) < 1e-13 * K * volume
     assert np.abs(assembled_forces(points, elements, displacement)).max() < 1e-12 * K * EDGE**2
 
@@ -223,7 +223,7 @@ def test_tangent_is_the_second_derivative_of_the_energy(name, solid):
 def test_tangents_of_many_elements_are_those_of_each():
     """The compiled loop over elements, against single elements, to round-off."""
     mesh = sweep(Tube(), 8e-3, MeshSize(through_wall=2, around=5, along=4))
-    rule = element.quadrature(mesh.points[mesh.elements], HEX20)
+    rule = quadrature(mesh.points[mesh.elements], HEX20)
     displacement = np.random.default_rng(2).uniform(-1e-5, 1e-5, (40, 20, 3))
     every = element.tangents(displacement, rule, MATERIAL)
     rule = element.Quadrature(*map(np.asarray, rule))
@@ -270,7 +270,7 @@ def test_homogeneous_stretch_stores_the_closed_form_energy():
     """V [mu/2 (J^(-2/3) sum lambda^2 - 3) + K/2 (J - 1)^2] with J = 1.012, to round-off."""
     points, elements, _ = patch()
     stretches = np.array([1.3, 0.8, 0.973])
-    volume = np.asarray(element.quadrature(points[elements], HEX20).weights).sum()
+    volume = np.asarray(quadrature(points[elements], HEX20).weights).sum()
     ratio = np.prod(stretches)
     density = MU / 2 * (ratio ** (-2 / 3) * np.sum(stretches**2) - 3) + K / 2 * (ratio - 1) ** 2
     stored = energies(points, elements, points * (stretches - 1)).sum()
@@ -280,7 +280,7 @@ def test_homogeneous_stretch_stores_the_closed_form_energy():
 def test_volume_ratios_are_the_determinants_at_the_points():
     """For an affine motion they are det F everywhere, and negative for an inverted element."""
     points, elements, _ = patch()
-    rule = element.quadrature(points[elements], HEX20)
+    rule = quadrature(points[elements], HEX20)
     for f in (STRETCH, STRETCH @ np.diag([1, 1, -1])):
         displacement = points @ (f - np.eye(3)).T
         ratios = element.volume_ratios(displacement[elements], rule)

@@ -16,6 +16,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.cli import main
 from acoustube.inversion import (
     Baseband,
+    Contact,
     ForwardModel,
     Inverter,
     Library,
@@ -28,7 +29,7 @@ from acoustube.inversion import (
 from acoustube.inversion.coupled_network import coupled_echo
 from acoustube.inversion.detection import _limit, limits_along
 from acoustube.inversion.joints import Joined
-from acoustube.inversion.likelihood import Weights, deviance_of, echo_of, weights
+from acoustube.inversion.likelihood import deviance_of, echo_of, weights
 from acoustube.inversion.model_error import restricted_deviance
 from acoustube.inversion.network import Waves, echo
 from acoustube.inversion.paths import StraightPath
@@ -36,10 +37,11 @@ from acoustube.inversion.posterior import mixture
 from acoustube.inversion.proposals import PlaneFilter
 from acoustube.inversion.quantiser import linearised
 from acoustube.inversion.tables import FrontCoefficients, Matrices, ToolTable
+from acoustube.inversion.whitening import RankOneWeights
 from acoustube.ranging import Burst, Chirp, Rangefinder, record
 from acoustube.recordings import write
 from acoustube.reports.figures.posterior import posterior_figure
-from acoustube.runs.inversion import RecordingInverter, Sensor
+from acoustube.runs.inversion import COLUMNS, RecordingInverter, Sensor, rows_of
 from acoustube.runs.libraries import files
 from acoustube.runs.libraries.plan import tool_plans
 from acoustube.runs.two_ends import EndsContacts
@@ -278,6 +280,22 @@ def test_untouched_cycles_of_several_temperatures_are_moved_to_one(library, drif
     assert found.best.residual == pytest.approx(1.0, abs=0.3)
 
 
+def test_without_untouched_cycles_each_recording_has_the_air_of_its_own(library):
+    """The same distance after a recording in air 0.2 K colder as without it."""
+    known, sensor, places = Rangefinder(temperature_bias=0.0), Sensor(length=2.5), []
+    cold, warm = (
+        record([press(5e-3, 0.9)], known, n_cycles=20, temperature=air, tube_seed=7, seed=5)
+        for air in (20.0, 20.2)
+    )
+    for recordings in ((cold, warm), (warm,)):
+        inverter = RecordingInverter(library, sensor, (), most=1)
+        for one in recordings:
+            ((_, found),) = inverter.groups("one.nc", one, 20, lambda: None)
+        (contact,) = found.contacts
+        places.append(contact.distance.value)
+    assert places[0] == places[1]
+
+
 @pytest.mark.parametrize("n_cycles", [5, 20])
 def test_rounding_without_dither_is_the_same_in_all_cycles(n_cycles):
     """Its variance in an echo is not divided by the number of cycles, and is at most that stated.
@@ -450,7 +468,7 @@ def test_restricted_deviance_is_that_of_the_marginal_likelihood():
     data = data + slopes[:, 2:] @ at[0, 2:]
     found, expected = [], []
     for sizes in (np.full(n, 1.0), np.linspace(4.0, 0.5, n)):
-        whiten = Weights(np.diag(1 / sizes).astype(complex), 2 * float(np.log(sizes).sum()))
+        whiten = RankOneWeights.of(sizes**2, None, 1.0, 0.0)
         found.append(
             restricted_deviance(
                 model, at, whiten(residual), whiten(jacobian), whiten.log_determinant
@@ -783,14 +801,26 @@ def test_command_writes_a_row_a_contact(folder, tmp_path):
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == [
         "recording", "group", "contact", "probability", "distance_cm", "distance_sd_cm", "depth_mm",
-        "depth_sd_mm", "force_n", "force_sd_n", "indenter_mm", "misfit",
+        "depth_sd_mm", "force_n", "force_sd_n", "indenter_mm", "misfit", "shape",
     ]  # fmt: skip
     assert [(row["group"], row["contact"]) for row in rows] == [("0", "0"), ("1", "0")] * 2
     for row, (place, depth) in zip(rows, [(53, 3)] * 2 + [(91, 5)] * 2, strict=True):
         assert float(row["distance_cm"]) == pytest.approx(place, abs=0.05)
         assert float(row["depth_mm"]) == pytest.approx(depth, abs=0.05)
         assert float(row["force_n"]) == pytest.approx(2 * depth**2, rel=0.05)
-        assert row["indenter_mm"] == "25"
+        assert (row["indenter_mm"], row["shape"]) == ("25", "rod")
+
+
+def test_contacts_of_tools_of_one_diameter_differ_in_the_table():
+    """In columns that are the same otherwise, down to the misfit."""
+    tools = Library((tool(), tool(shape="sphere")))
+    one = SimpleNamespace(value=1.0, deviation=0.1)
+    contacts = [(Contact(1.0, one, one, one, tool=i), 0.05) for i in (0, 1)]
+    first, second = (
+        dict(zip(COLUMNS, row, strict=True)) for row in rows_of("p", 0, contacts, tools)
+    )
+    assert (first["indenter_mm"], first["shape"]) == ("25", "rod")
+    assert second == first | {"contact": 1, "shape": "sphere"}
 
 
 def test_command_writes_and_draws_the_limit_of_an_untouched_tube(folder, tmp_path):

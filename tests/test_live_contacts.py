@@ -96,7 +96,7 @@ def test_contacts_are_logged_and_shown_while_the_board_sends(folder, cycles, tmp
         assert float(row["distance_cm"]) == pytest.approx(100 * place, abs=near), tally.n_skipped
         assert float(row["depth_mm"]) == pytest.approx(1e3 * depth, rel=0.06)
         assert float(row["probability"]) > 0.9
-        assert row["indenter_mm"] == "25"
+        assert (row["indenter_mm"], row["shape"]) == ("25", "rod")
     assert tally.found.contacts
 
 

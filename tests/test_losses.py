@@ -8,6 +8,7 @@ from refusals import refused
 from wave_lumens import BORE, pinched_tube, straight_tube
 
 from acoustube.air import Air, air_at, viscous_thickness
+from acoustube.lumen import Lumen
 from acoustube.waves import (
     ModalProbe,
     Pulse,
@@ -26,6 +27,7 @@ from acoustube.waves.scheme.leapfrog import initial_state, march
 from acoustube.waves.scheme.losses import wetted_area
 from acoustube.waves.scheme.problem import prepare
 from acoustube.waves.scheme.relaxation_fit import half_integral
+from acoustube.waves.spectral import scatter_spectral, wall_of
 
 AIR = Air(sound_speed=343.2, density=1.204, viscosity=1.8133e-5, prandtl=0.70520337)
 """Air of the table below."""
@@ -105,19 +107,49 @@ def test_half_integral_is_fitted_by_positive_relaxations(band):
 
 @pytest.mark.parametrize("half", [False, True])
 def test_wetted_area_is_that_of_the_bore_wherever_it_is_spread(half):
-    """The wetted area per volume is 2 / R, with normals across the tube only."""
+    """The wetted area per volume is 2 / R."""
     cells = cut_cells(straight_tube(5e-3, sections=256), 2 * BORE / 16, half=half)
     relieved = share_small_volumes(cells)
-    shares = wetted_area(relieved, cells)[..., 3:8]
+    wetted = wetted_area(relieved, cells)[..., 3:8]
     volume = relieved.volume_fraction[..., 3:8]
-    x, y, z = np.sum(shares * volume, axis=(1, 2, 3)) / volume.sum()
-    assert x + y == pytest.approx(2 / BORE, rel=2e-3)
-    assert x == pytest.approx(y, rel=5e-3)
-    assert abs(z) < 1e-6 * x
+    assert np.sum(wetted * volume) / volume.sum() == pytest.approx(2 / BORE, rel=2e-3)
     # The static limit: the losses must not reduce the stiffness of the air below zero.
     fit = half_integral((5e3, 60e3))
     at_rest = np.sqrt(AIR.viscous_diffusivity) * np.sum(fit.weights / fit.rates)
-    assert shares.sum(axis=0).max() * at_rest < 0.9
+    assert wetted.max() * at_rest < 0.9
+
+
+def test_losses_at_inclined_walls_are_those_of_the_spectral_solver():
+    """Change of R and T by losses in a round constriction with walls inclined by up to 28 degrees.
+
+    Measured 1.4 % too small on 10 cells per bore, 0.1 % on 12. With the drag projected on the wall
+    direction by direction of the grid, as if these did not mix, it would be 23 % too small.
+    """
+    height, half_width, position = 0.7, 8e-3, 12e-3
+    z = np.concatenate([[-position], np.linspace(-half_width, half_width, 65), [position]])
+    t = 2 * np.pi * np.arange(128) / 128
+    inside = np.abs(z) < half_width
+    radius = BORE * (1 - height * inside * (1 + np.cos(np.pi * z / half_width)) / 2)[:, None]
+    along = np.broadcast_to(z[:, None] + position, (len(z), len(t)))
+    rings = np.stack([radius * np.sin(t), -radius * np.cos(t), along], axis=-1)
+    lumen = Lumen(rings, rings * [1.5, 1.5, 1.0], position)
+    frequency, air = np.array([16e3, 20e3, 24e3]), air_at(20.0)
+    cells = cut_cells(lumen.surface, 2 * BORE / 10)
+
+    def spectral(lossy):
+        return scatter_spectral(wall_of(lumen), air, frequency, lossy=lossy, symmetric_only=True)
+
+    def time_domain(lossy):
+        return scatter(
+            cells, air, frequency, reference=(position, position), lossy=lossy, symmetric=True,
+            symmetric_only=True,
+        )  # fmt: skip
+
+    expected, found = (
+        solve(True).s[:, :, 0, 0, 0] - solve(False).s[:, :, 0, 0, 0]
+        for solve in (spectral, time_domain)
+    )
+    assert np.vdot(expected, found) / np.vdot(expected, expected) == pytest.approx(1, abs=0.03)
 
 
 @pytest.mark.slow
@@ -150,7 +182,7 @@ def test_attenuation_and_speed_of_the_plane_mode_are_kirchhoffs():
 @pytest.mark.slow
 @pytest.mark.parametrize("resolution", [16, 32])
 def test_attenuation_of_every_mode_is_that_of_its_boundary_layers(resolution):
-    """(0,0) is right within 0.5 %, (1,1) at 42 and 50 kHz within 4 %, on either grid.
+    """(0,0) is right within 0.5 %, (1,1) at 42 and 50 kHz within 1.5 %, on either grid.
 
     The two modes (1,1) agree within 0.3 %, computed by halves or on the whole grid.
     """
@@ -168,7 +200,7 @@ def test_attenuation_of_every_mode_is_that_of_its_boundary_layers(resolution):
     assert len(pair) == (4 if resolution == 16 else 2)
     assert found[False, "00"] == pytest.approx(plane, rel=5e-3)
     for value in pair:
-        assert value == pytest.approx(second, rel=0.04)
+        assert value == pytest.approx(second, rel=0.015)
         assert value == pytest.approx(pair[0], rel=3e-3)
 
 

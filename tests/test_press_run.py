@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import pyvista
 import xarray as xr
-from commands import run_here, run_process
+from commands import run_here
 from rich.console import Console
 from test_tetrahedra import D_BORE
 
@@ -41,7 +41,7 @@ def finished(tmp_path_factory):
     """Run the command; return its result and the folder."""
     folder = tmp_path_factory.mktemp("presses") / "press"
     words = ["--indenter", "25", "--depth", "0.5", "--steps", "2", "--support", "free"]
-    result = run_process("indent", *words, "--out", folder)
+    result = run_here("indent", *words, "--out", folder)
     assert result.returncode == 0, result.stderr
     return result, folder
 

@@ -204,7 +204,10 @@ def rings(case, n_rings=97, n_around=120, deeper=0.0):
         for part in shape(case, deeper=deeper)(z[:, None], t)
     )
     points = np.stack([x, y, np.broadcast_to(z[:, None], x.shape)], axis=-1)
-    return SimpleNamespace(rings=points + np.array([0, 0, 0.04]), position=0.04, symmetric=True)
+    return SimpleNamespace(
+        rings=points + np.array([0, 0, 0.04]), position=0.04, symmetric=True, same=1e-9,
+        sealing_gap=0.0,
+    )  # fmt: skip
 
 
 def test_lumen_of_rings_scatters_as_its_formula():
@@ -212,6 +215,19 @@ def test_lumen_of_rings_scatters_as_its_formula():
     found = plane(scattered(spectral.wall_of(rings("E")), frequency, symmetric_only=True))
     # The rings end in a corner: half a millimetre is a cone where the formula is smooth.
     np.testing.assert_allclose(found, (reflected, passed), atol=2e-4)
+
+
+def test_tolerance_and_sealed_gap_of_a_lumen_are_those_that_it_states():
+    """A lumen moved by a micrometre on one side alone is reversible within two, not within half."""
+    lumen = rings("E")
+    lumen.rings[len(lumen.rings) // 3, :, 0] += 1e-6
+    for lumen.same, reversible in ((2e-6, True), (0.5e-6, False)):
+        assert spectral.wall_of(lumen).reversible is reversible
+    lumen.sealing_gap = 3e-5
+    assert spectral.wall_of(lumen).sealing_gap == 3e-5
+    del lumen.sealing_gap  # a lumen must state it
+    with pytest.raises(AttributeError, match="sealing_gap"):
+        spectral.wall_of(lumen)
 
 
 def test_reference_planes_move_the_phases_of_each_mode():

@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from refusals import refused
 from scipy.sparse.linalg import splu
-from solids import HEXAHEDRA_AT_4_MM, neo_hookean_solid, nodal_forces
+from solids import HEXAHEDRA_AT_4_MM, neo_hookean_solid, nodal_forces, quadrature
 
 from acoustube.base.errors import ConfigError
 from acoustube.indentation import Indenter, boundary_nodes, element, indent, tetrahedra
@@ -180,7 +180,7 @@ def test_piece_longer_than_the_tube_is_refused(surface):
 
 def test_mesh_has_the_volume_of_the_surface(surface, quarter):
     """Sides that follow the facets to within a thousandth of the wall lose less than 0.2 %."""
-    rule = element.quadrature(quarter.points[quarter.elements], TET10)
+    rule = quadrature(quarter.points[quarter.elements], TET10)
     expected = surface.volume * (10 / 160) / 2
     assert np.sum(rule.weights) == pytest.approx(expected, rel=2e-3)
     assert np.min(rule.weights) > 0
@@ -339,7 +339,7 @@ forces_at = jax.jit(jax.vmap(jax.vmap(body_force)))
 
 def matrices_and_loads(corners):
     """Return the matrices and loads of 48 elements, for which both are compiled once."""
-    rule = element.quadrature(corners, TET10)
+    rule = quadrature(corners, TET10)
     matrices = element.tangents(np.zeros_like(corners), rule, neo_hookean_solid(MU, K))
     force = np.asarray(forces_at(np.einsum("qn,eni->eqi", TET10.shapes, corners)))
     return matrices, np.einsum("eq,qn,eqi->eni", rule.weights, TET10.shapes, force)

@@ -10,7 +10,8 @@ from commands import run_here
 from labelled_cycles import cycles
 from test_package import loaded_by
 
-from acoustube import recordings
+from acoustube import estimation, recordings
+from acoustube.ranging import IDEAL, Burst, Chirp, Rangefinder, Tones
 
 TRAIN = ("train", "a.nc", "--out", "m.model", "--prominence", "0.001")
 ECHO = (*TRAIN, "--estimator", "echo", "--folds", "3", "--epochs", "4")
@@ -63,6 +64,42 @@ def test_a_model_is_trained_and_its_errors_are_written():
     assert Path("f.png").read_bytes().startswith(b"\x89PNG")
     (line,) = [line for line in result.stdout.splitlines() if line.startswith("depth, mm")]
     assert line.split()[2] == f"{float(whole['depth']['median']):.3g}"
+
+
+def sensor_of(drive):
+    """Return the attribute with which a dataset states its rangefinder."""
+    return {"rangefinder": Rangefinder(drive=drive).to_json()}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("drive", "expected"),
+    [
+        (Burst(frequency=41e3), (41e3, 13.0, None)),
+        (Chirp(frequency=40e3, bandwidth=8e3, duration=1e-3), (40e3, 40.0, 8e3)),
+    ],
+)
+def test_cycles_are_processed_for_the_carrier_that_their_dataset_states(drive, expected, recorded):
+    recordings.write(recorded.assign_attrs(sensor_of(drive)), "a.nc")
+    result = run_here(*TRAIN, "--estimator", "network", "--folds", "2", "--epochs", "3", "--quiet")
+    assert (result.returncode, result.stderr) == (0, "")
+    how = estimation.load(Path("m.model")).feature_settings.processing
+    assert (how.frequency, how.pulse_cycles, how.bandwidth) == pytest.approx(expected)
+    assert how.prominence == 0.001
+
+
+def test_cycles_of_other_carriers_or_several_tones_are_not_trained_on_together(recorded):
+    few = recorded.isel(cycle=slice(2))
+    for name, drive in (("a.nc", Burst()), ("b.nc", Chirp(frequency=20e3, bandwidth=4e3))):
+        recordings.write(few.assign_attrs(sensor_of(drive)), name)
+    words = "b.nc has a carrier of 20 kHz +- 2 kHz, and the first recording is processed for 42 kHz"
+    refused(words, command=("train", "a.nc", "b.nc", *ECHO[2:]))
+    recordings.write(few.assign_attrs(sensor_of(Tones(frequencies=(40e3, 42e3)))), "a.nc")
+    refused("a.nc: the compressed pulse of kind = 'Tones' has no single maximum")
+    recordings.write(few.assign_attrs(rangefinder='{"drive": {"kind": ["Burst"]}}'), "a.nc")
+    refused("a.nc: its drive is damaged")
+    recordings.write(few.assign_attrs(rangefinder=IDEAL.to_json()), "a.nc")
+    refused("2 of 2 cycles have an echo")
 
 
 @pytest.mark.slow

@@ -14,7 +14,13 @@ from acoustube.base.errors import SimulationError
 from acoustube.waves import Pulse, cut_cells, cut_on_frequency, grid_spacing, propagate, stable_step
 from acoustube.waves.scheme.cpu_kernel import advance
 from acoustube.waves.scheme.leapfrog import CHUNK, initial_state, march, run_chunk
-from acoustube.waves.scheme.operator import INTERIOR, assemble, dispersion_coefficient, laplacian
+from acoustube.waves.scheme.operator import (
+    INTERIOR,
+    assemble,
+    dispersion_coefficient,
+    laplacian,
+    on_device,
+)
 from acoustube.waves.scheme.problem import prepare
 
 AIR = air_at(20.0)
@@ -234,6 +240,17 @@ def test_area_step_reflects_like_a_plane_wave_at_5_khz():
     travel = np.exp(-2j * np.pi * 5e3 * 2 * 0.03 / AIR.sound_speed)
     assert abs(reflection) == pytest.approx(expected, abs=0.015)
     assert abs(np.angle(reflection / travel)) < 0.15
+
+
+def test_arrays_of_numpy_are_copied_to_the_device_uncompiled(compilations):
+    """No other test uses this shape. The memory is aligned, so that JAX could keep it."""
+    memory = np.zeros(4 * 3 * 5 * 7 * 23 + 64, np.uint8)
+    first = -memory.ctypes.data % 64
+    values = memory[first : first - 64 or None].view(np.float32).reshape(3, 5, 7, 23)
+    found = on_device(values, np.float32)
+    assert compilations == []
+    values += 1
+    assert not np.asarray(found).any()
 
 
 def test_second_lumen_of_equal_shape_is_not_compiled_again(compilations):

@@ -10,7 +10,7 @@ and machine code with fewer of LLVM's optimisations."""
 KNOWN = "0.10."
 """Prefix of the versions of jaxlib for which `QUICK` is used. XLA aborts on unknown options."""
 FOR_GPUS = "jax_cuda12_plugin", "jax_cuda13_plugin", "jax_rocm7_plugin"
-"""Modules that come with JAX for GPUs, whose code the second option of `QUICK` would affect."""
+"""Modules of JAX for GPUs; the second option of `QUICK` would also affect their code."""
 
 
 def compile_quickly() -> None:

@@ -81,7 +81,7 @@ def short(value: Any) -> str:
 
 
 LONGEST_WORD, LONGEST_TEXT, LONGEST_SENTENCE = 200, 3000, 600
-"""Largest numbers of characters shown of a word, of a text, and of the sentence of an error."""
+"""Largest numbers of characters shown: of a word, of a text, and of the sentence of an error."""
 
 
 def readable(text: str, longest: int = LONGEST_TEXT) -> str:

@@ -25,7 +25,7 @@ BLOCK = 1 << 20
 
 
 class Seal(Enum):
-    """Result of testing a file's seal; files of earlier versions and other programs have NONE."""
+    """Result of testing a file's checksum; NONE for one of earlier versions or other programs."""
 
     INTACT = "intact"
     BROKEN = "broken"

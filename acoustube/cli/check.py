@@ -37,7 +37,7 @@ PURPOSES = {
     "dask": "sweeps on a cluster",
     "parquet": "writes Parquet tables",
     "pardiso": "factorises large meshes faster",
-    "robot": "runs `acoustube.sensor.environment`, and the arm of the gallery",
+    "robot": "runs `acoustube.sensor.environment` and the gallery's robot arm",
     "serial": "reads the board of `acoustube live`",
 }
 """Purposes of the optional extras."""

@@ -195,7 +195,7 @@ class _Files:
         self.candidate = _preferred(self.candidate, found)
 
     def keep(self) -> None:
-        """Keep the pending results of the groups of a recording."""
+        """Add the pending results of a complete recording to those kept."""
         self.rows += self.pending
         self.shown = _preferred(self.shown, self.candidate)
         self.drop()

@@ -84,16 +84,24 @@ def train(
 
     from acoustube import estimation
     from acoustube.estimation.model import kind_of_features
-    from acoustube.runs.recordings import check_rate, chosen
-    from acoustube.runs.training import table_of
+    from acoustube.runs.recordings import check_rate, chosen, read_cycles
+    from acoustube.runs.training import check_carrier, table_of
+    from acoustube.runs.twin_calibration import stated_processing
 
     start = time.perf_counter()
     report = output.reporter()
-    known, processing = chosen(ranging.calibration, ranging.prominence)
+    stated = None if ranging.calibration else stated_processing(*next(read_cycles(data)))
+    known, processing = chosen(ranging.calibration, ranging.prominence, stated)
+
+    def check_recording(path: Path, recorded: xr.Dataset) -> None:
+        check_rate(float(recorded.attrs["sampling_rate"]), known, path)
+        if known is None:
+            check_carrier(path, recorded, processing)
+
     features = estimation.FeatureSettings(kind=kind_of_features(estimator), processing=processing)
     with watched_interrupts() as check:
         with report.progress(check) as show:
-            table = table_of(data, features, show, lambda path, rate: check_rate(rate, known, path))
+            table = table_of(data, features, show, check_recording)
         _print_cycles(table, estimator, report)
         with report.progress(check) as show:
             model = _trained(table, estimator, features, training, show, report)

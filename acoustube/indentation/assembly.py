@@ -26,9 +26,9 @@ from acoustube.indentation.self_contact import SelfContact
 
 _quadrature = jax.jit(element.quadrature, static_argnames="reference")
 _wall = jax.jit(element.energies_and_forces)
-_touch = jax.jit(contact.energies_and_forces)
-_touch_tangents = jax.jit(contact.tangents)
-_force = jax.jit(contact.force)
+_touch = jax.jit(contact.energies_and_forces, static_argnames="face")
+_touch_tangents = jax.jit(contact.tangents, static_argnames="face")
+_force = jax.jit(contact.force, static_argnames="face")
 _contact_area = jax.jit(contact.contact_area)
 _areas = jax.jit(contact.areas)
 _volume_ratios = jax.jit(element.volume_ratios)
@@ -184,9 +184,7 @@ def evaluate(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> Sta
     """
     mesh, position = model.mesh, model.mesh.points + displacement
     energies, inner = _wall_of(model, displacement)
-    touches = [
-        _touch(faces, areas, mesh.face.shapes, bodies) for faces, areas in _faces(model, position)
-    ]
+    touches = [_touch(faces, areas, mesh.face, bodies) for faces, areas in _faces(model, position)]
     touch, outer = (
         _joined(list(part), len(mesh.outer_faces)) for part in zip(*touches, strict=True)
     )
@@ -244,8 +242,7 @@ def stiffness(
         )
     ]
     outer = [
-        _touch_tangents(faces, areas, mesh.face.shapes, bodies)
-        for faces, areas in _faces(model, position)
+        _touch_tangents(faces, areas, mesh.face, bodies) for faces, areas in _faces(model, position)
     ]
     matrices = [np.concatenate(inner), _joined(outer, len(mesh.outer_faces))]
     lower = model.pattern.assemble(matrices) + model.wrinkle_tangent
@@ -321,7 +318,7 @@ def indenter_force(model: Model, displacement: Array, body: Body) -> float:
     body : Body
     """
     parts = [
-        float(_force(faces, areas, model.mesh.face.shapes, body))
+        float(_force(faces, areas, model.mesh.face, body))
         for faces, areas in _faces(model, model.mesh.points + displacement)
     ]
     return model.mesh.copies * sum(parts)

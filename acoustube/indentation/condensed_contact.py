@@ -27,7 +27,7 @@ from scipy.linalg import LinAlgError, cholesky
 from acoustube.base.types import Array, Index
 from acoustube.indentation import contact
 from acoustube.indentation.assembly import Model, State
-from acoustube.indentation.contact import Body
+from acoustube.indentation.contact import Body, Touch
 from acoustube.indentation.multifrontal import MultifrontalFactor
 from acoustube.indentation.padding import padded
 
@@ -48,7 +48,7 @@ at most."""
 HALVINGS = 6
 """Largest number of lengths tried for a Newton step on the zone, each half the last."""
 
-_gaps = jax.jit(contact.gaps)
+_gaps = jax.jit(contact.gaps, static_argnames="face")
 _pressures = jax.jit(contact.pressures)
 
 
@@ -78,8 +78,8 @@ class CondensedContact:
 
     def __post_init__(self) -> None:
         """Linearise the gaps at the state, and begin with an empty zone."""
-        gap, normal = self._gaps(self.displacement)
-        self._normal, self._stiffness = normal, self._laws(gap)[1]
+        touch = self._touch(self.displacement)
+        self._normal, self._stiffness = touch.normal, self._laws(touch.gap, touch.area)[1]
         self._number = np.where(
             self.model.free, np.cumsum(self.model.free).reshape(self.model.free.shape) - 1, -1
         )
@@ -102,16 +102,16 @@ class CondensedContact:
             problem is not solved, or the energy would not fall along the step.
         """
         linear = -self.factor(state.gradient)
-        gap, _ = self._gaps(state.displacement)
-        before, _ = self._laws(gap)
+        touch = self._touch(state.displacement)
+        before, _ = self._laws(touch.gap, touch.area)
         step = linear
         for _ in range(ROUNDS):
             if self._zone.size:
-                forces = self._contact_forces(gap, before, linear[self._zone])
+                forces = self._contact_forces(touch, before, linear[self._zone])
                 if forces is None:
                     return linear
                 step = linear - self.factor(forces)
-            excess, _ = self._excess(gap, before, self._closing(self._on_nodes(step)))
+            excess, _ = self._excess(touch, before, self._closing(self._on_nodes(step)))
             size = np.abs(excess).max(axis=(0, 2))
             size[self._faces] = 0.0
             new = np.flatnonzero(size > NEGLIGIBLE * state.norm)
@@ -138,7 +138,8 @@ class CondensedContact:
         """
         if not self._zone.size:
             return True
-        _, stiffness = self._laws(self._gaps(displacement)[0])
+        touch = self._touch(displacement)
+        _, stiffness = self._laws(touch.gap, touch.area)
         try:
             root = cholesky(self._compliance, lower=True)
             cholesky(np.eye(len(root)) + root.T @ self._zone_stiffness(stiffness) @ root)
@@ -146,19 +147,20 @@ class CondensedContact:
             return False
         return True
 
-    def _gaps(self, displacement: Array) -> tuple[Array, Array]:
-        """Return the gaps (body, face, point) in m at the wall's points, and their gradients."""
-        mesh = self.model.mesh
+    def _touch(self, displacement: Array) -> Touch:
+        """Return gaps, their gradients and areas in m2 (body, face, point) at the wall's points."""
+        mesh, area = self.model.mesh, self._areas
         faces = (mesh.points + displacement)[self._nodes]
-        gap, normal = _gaps(padded(faces), mesh.face.shapes, self.bodies)
-        return np.asarray(gap)[:, : len(faces)], np.asarray(normal)[:, : len(faces)]
+        touch = _gaps(padded(faces), padded(area), mesh.face, self.bodies)
+        gap, normal, ratio = (np.asarray(part)[:, : len(faces)] for part in touch)
+        return Touch(gap, normal, ratio * area)
 
-    def _laws(self, gap: Array) -> tuple[Array, Array]:
+    def _laws(self, gap: Array, area: Array) -> tuple[Array, Array]:
         """Return force in N (negative) and stiffness in N/m of each gap, (body, face, point)."""
         faces = np.moveaxis(gap, 1, 0)
         slope, bend = _pressures(np.moveaxis(padded(faces), 0, 1), self.bodies)
-        area = self.model.outer_areas.reshape(-1, self.model.outer_areas.shape[-1])
-        return np.asarray(slope)[:, : len(area)] * area, np.asarray(bend)[:, : len(area)] * area
+        count = len(faces)
+        return np.asarray(slope)[:, :count] * area, np.asarray(bend)[:, :count] * area
 
     def _closing(self, moved: Array, at: Index | slice = slice(None)) -> Array:
         """Return the linearised change of the gaps in m due to a motion of the nodes.
@@ -170,9 +172,12 @@ class CondensedContact:
         change[:, at] = np.einsum("bfqi,fqi->bfq", self._normal[:, at], points)
         return change
 
-    def _excess(self, gap: Array, before: Array, closing: Array) -> tuple[Array, Array]:
-        """Return the nonlinear part of the change of the forces in N, and stiffnesses in N/m."""
-        force, stiffness = self._laws(gap + closing)
+    def _excess(self, touch: Touch, before: Array, closing: Array) -> tuple[Array, Array]:
+        """Return the nonlinear part of the change of the forces in N, and stiffnesses in N/m.
+
+        The areas are those of `touch`: their change enters by the tangent alone.
+        """
+        force, stiffness = self._laws(touch.gap + closing, touch.area)
         return force - before - self._stiffness * closing, stiffness
 
     def _extended(self, faces: Index) -> bool:
@@ -197,7 +202,7 @@ class CondensedContact:
         self._columns.append(columns)
         return True
 
-    def _contact_forces(self, gap: Array, before: Array, linear: Array) -> Array | None:
+    def _contact_forces(self, touch: Touch, before: Array, linear: Array) -> Array | None:
         """Solve the contact problem on the zone; return its forces on the unknowns, in N.
 
         The displacements v of the zone satisfy ``v - v_linear + C f(v) = 0``, with the compliance C
@@ -207,7 +212,7 @@ class CondensedContact:
 
         def misfit(moved: Array) -> tuple[Array, Array, Array]:
             closing = self._closing(self._of_zone(moved), self._faces)
-            excess, stiffness = self._excess(gap, before, closing)
+            excess, stiffness = self._excess(touch, before, closing)
             force = self._zone_forces(excess)
             return moved - linear + self._compliance @ force[self._zone], force, stiffness
 
@@ -266,6 +271,11 @@ class CondensedContact:
         """Nodes of the outer faces of all blocks, (n_faces, n_face_nodes); repeats included."""
         blocks = self.model.outer_faces
         return blocks.reshape(-1, blocks.shape[-1])
+
+    @property
+    def _areas(self) -> Array:
+        """Undeformed areas of the faces' points in m2, (n_faces, n_points)."""
+        return self.model.outer_areas.reshape(-1, self.model.outer_areas.shape[-1])
 
     @property
     def _shapes(self) -> Array:

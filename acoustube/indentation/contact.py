@@ -2,7 +2,9 @@
 
 Each body is an analytic signed distance and a contact law: the energy per area as a function of
 that distance. The energy is integrated over the outer wall's faces at quadrature points [1]_:
-node-to-surface contact would need tensile forces in the corners of quadratic faces.
+node-to-surface contact would need tensile forces in the corners of quadratic faces. The area is
+that of the undeformed wall for a rigid body, and for an elastic foundation that of its own surface
+under the deformed wall.
 
 References
 ----------
@@ -15,9 +17,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.tree_util import Partial
 
 from acoustube.indentation.material import Array, Scalar
+from acoustube.indentation.reference_element import Reference
 
 CONTACT_STIFFNESS = 300.0
 """Penalty stiffness of rigid contact: pressure per penetration, in shear moduli per wall thickness.
@@ -29,6 +33,54 @@ CONTACT_SMOOTHING = 3e-4
 
 The tube's initial stiffness is 0.47 N/mm: an onset wider by 4 um at the indenter and at the ground
 would change the force at 0.25 mm by 3 %."""
+VERTICAL_SMOOTHING = 0.1
+"""Half width of the smoothed onset of :func:`covered_area`, in undeformed areas.
+
+A wall that does not stretch is within 6 degrees of the vertical there."""
+UP = np.array([0.0, 1.0, 0.0])
+
+
+def undeformed_area(projected: Array) -> Array:
+    """Return the area of a rigid body's contact law, per undeformed area: one.
+
+    Parameters
+    ----------
+    projected : float
+        Projected area as for :func:`covered_area`.
+    """
+    return jnp.ones_like(projected)
+
+
+def smoothed_positive_part(value: Array, smoothing: Scalar | float) -> Array:
+    """Return ``max(value, 0)``, with the parabola ``(value + d)^2 / (4 d)`` between -d and d.
+
+    Parameters
+    ----------
+    value : float
+    smoothing : float
+        The half width d, in the unit of `value`.
+    """
+    blend = jnp.clip(value + smoothing, 0, 2 * smoothing) ** 2 / (4 * smoothing)
+    return blend + jnp.maximum(value - smoothing, 0)
+
+
+def covered_area(projected: Array) -> Array:
+    """Return the area of a foundation's surface that the wall covers, per undeformed area.
+
+    Parameters
+    ----------
+    projected : float
+        Area of the deformed wall's projection onto the horizontal plane, per undeformed area;
+        negative where the wall faces up.
+
+    Notes
+    -----
+    The positive part of `projected`: where the wall faces up, the surface below it is already
+    covered by a lower part of the wall. It is smoothed by :data:`VERTICAL_SMOOTHING`, because the
+    forces would jump where a wall becomes vertical. A rigid round tube is not affected up to a
+    settlement of 0.9 radii.
+    """
+    return smoothed_positive_part(projected, VERTICAL_SMOOTHING)
 
 
 class Body(NamedTuple):
@@ -42,83 +94,16 @@ class Body(NamedTuple):
     height : float
         Reference height y in m, which changes with the indentation depth.
     law : jax.tree_util.Partial
-        Energy per undeformed area in J/m2 as a function of the gap.
+        Energy per area in J/m2 as a function of the gap.
+    area : jax.tree_util.Partial
+        The area that the law refers to, per undeformed area, as a function of the projected area:
+        :func:`undeformed_area` or :func:`covered_area`.
     """
 
     gap: Partial
     height: Scalar
     law: Partial
-
-
-def rod_gap(radius: Scalar, x: Scalar, z: Scalar, yaw: Scalar, point: Array) -> Array:
-    """Return the signed distance in m to an infinite cylinder with its lowest line at height zero.
-
-    Parameters
-    ----------
-    radius : float
-        In m.
-    x, z : float
-        A point on its horizontal axis, in m.
-    yaw : float
-        Angle in rad from the x axis to the cylinder's axis, positive towards +z.
-    point : array of shape (3,)
-        In m.
-    """
-    across = -(point[0] - x) * jnp.sin(yaw) + (point[2] - z) * jnp.cos(yaw)
-    return jnp.hypot(point[1] - radius, across) - radius
-
-
-def sphere_gap(radius: Scalar, x: Scalar, z: Scalar, point: Array) -> Array:
-    """Return the signed distance in m to a sphere with its lowest point at height zero.
-
-    Parameters
-    ----------
-    radius : float
-        In m.
-    x, z : float
-        Position of the centre, in m.
-    point : array of shape (3,)
-        In m.
-    """
-    offset = jnp.stack([point[0] - x, point[1] - radius, point[2] - z])
-    return jnp.linalg.norm(offset) - radius
-
-
-def punch_gap(radius: Scalar, edge: Scalar, x: Scalar, z: Scalar, point: Array) -> Array:
-    """Return the signed distance in m to an upright cylinder with its flat end at height zero.
-
-    Parameters
-    ----------
-    radius, edge : float
-        Radii of the cylinder and of its rounded edge, in m.
-    x, z : float
-        Position of the axis, in m.
-    point : array of shape (3,)
-        In m.
-
-    Notes
-    -----
-    The distance to a cylinder that is smaller by the edge radius, minus the edge radius. Inside
-    that cylinder, distances are negative, and the larger one (to the nearer of side and end) holds.
-    """
-    # The square root has no derivative at zero: 1e-30 keeps it differentiable on the axis, and
-    # `where` inside the smaller cylinder.
-    out = jnp.sqrt((point[0] - x) ** 2 + (point[2] - z) ** 2 + 1e-30) - (radius - edge)
-    down = edge - point[1]
-    beyond = jnp.maximum(out, 0.0) ** 2 + jnp.maximum(down, 0.0) ** 2
-    outside = jnp.where(beyond > 0, jnp.sqrt(jnp.where(beyond > 0, beyond, 1.0)), 0.0)
-    return outside + jnp.minimum(jnp.maximum(out, down), 0.0) - edge
-
-
-def floor_gap(point: Array) -> Array:
-    """Return the signed distance in m to the horizontal plane at height zero.
-
-    Parameters
-    ----------
-    point : array of shape (3,)
-        In m.
-    """
-    return point[1]
+    area: Partial = Partial(undeformed_area)
 
 
 def penalty_energy(stiffness: Scalar, smoothing: Scalar, gap: Array) -> Array:
@@ -161,7 +146,7 @@ def rigid_law(shear_modulus: Any, wall_thickness: Any) -> Partial:
 
 
 def foundation_energy(modulus: Scalar, thickness: Scalar, smoothing: Scalar, gap: Array) -> Array:
-    """Return the energy per area in J/m2 of an elastic foundation on a rigid base.
+    """Return the energy per area of its surface, in J/m2, of an elastic foundation on a rigid base.
 
     Parameters
     ----------
@@ -179,14 +164,18 @@ def foundation_energy(modulus: Scalar, thickness: Scalar, smoothing: Scalar, gap
     for small s and infinite at the base; the energy is ``E h ((1 - s) ln(1 - s) + s)``. With
     smoothing d the compression sets in as ``(d - g)^2 / (4 d)`` between the gaps d and -d.
 
+    Each column is compressed by the wall above it, and the area of the columns is horizontal: the
+    energy is integrated over the area that the wall covers, ``-n_y da`` of the deformed element da
+    with the outward normal n (:func:`covered_area`). By the divergence theorem its derivative with
+    respect to the wall's displacements is the pressure, normal to the wall, and at the rim of the
+    covered area the energy per area, as a force per length.
+
     References
     ----------
     .. [1] K. L. Johnson, "Contact Mechanics", Cambridge University Press (1985), section 4.3 on
        elastic foundations.
     """
-    d = smoothing
-    compression = jnp.clip(d - gap, 0, 2 * d) ** 2 / (4 * d) - jnp.minimum(gap + d, 0)
-    stretch = 1 - compression / thickness
+    stretch = 1 - smoothed_positive_part(-gap, smoothing) / thickness
     return modulus * thickness * (stretch * jnp.log(stretch) + 1 - stretch)
 
 
@@ -211,22 +200,41 @@ def areas(corners: Array, slopes: Array, weights: Array) -> Array:
     return jnp.linalg.norm(normal, axis=-1) * weights[None]
 
 
-def energy_density(point: Array, bodies: tuple[Body, ...]) -> Array:
+def _basis(face: Reference) -> Array:
+    """Return the shape functions and their two derivatives, shape (n_points, n_local, 3)."""
+    return np.concatenate([face.shapes[..., None], face.slopes], axis=-1)
+
+
+def _per_area(area: Array, face: Reference) -> Array:
+    """Return the reciprocal of the undeformed area per area of the reference face, in 1/m2."""
+    return face.weights / jnp.where(area > 0, area, 1.0)
+
+
+def _projected(local: Array, per_area: Scalar) -> Array:
+    """Return the projected area of :func:`covered_area`; arguments as in :func:`energy_density`."""
+    _, first, second = local
+    return (first[0] * second[2] - first[2] * second[0]) * per_area
+
+
+def energy_density(local: Array, per_area: Scalar, bodies: tuple[Body, ...]) -> Array:
     """Return the contact energy per undeformed area in J/m2 at a point of the wall.
 
     Parameters
     ----------
-    point : array of shape (3,)
-        Deformed position in m.
+    local : array of shape (3, 3)
+        Deformed position in m, and its derivatives with respect to both coordinates of the face.
+    per_area : float
+        Reciprocal of the undeformed area per area of the reference face, in 1/m2.
     bodies : tuple of Body
     """
-    up = jnp.array([0.0, 1.0, 0.0])
+    projected = _projected(local, per_area)
     return sum(
-        (body.law(body.gap(point - body.height * up)) for body in bodies), start=jnp.zeros(())
+        (body.area(projected) * body.law(body.gap(local[0] - body.height * UP)) for body in bodies),
+        start=jnp.zeros(()),
     )
 
 
-def energy(position: Array, area: Array, shapes: Array, bodies: tuple[Body, ...]) -> Array:
+def energy(position: Array, area: Array, face: Reference, bodies: tuple[Body, ...]) -> Array:
     """Return the contact energy in J of one face.
 
     Parameters
@@ -234,16 +242,16 @@ def energy(position: Array, area: Array, shapes: Array, bodies: tuple[Body, ...]
     position : array of shape (n_local, 3)
         Deformed nodes in m.
     area : array of shape (n_points,)
-        Undeformed area of the points in m2, from :func:`areas`.
-    shapes : array of shape (n_points, n_local)
-        Shape functions of the face at its points.
+        Undeformed area of the points in m2, from :func:`areas`; zero for a face without energy.
+    face : Reference
     bodies : tuple of Body
     """
-    return area @ jax.vmap(energy_density, (0, None))(shapes @ position, bodies)
+    local = jnp.einsum("qna,ni->qai", _basis(face), position)
+    return area @ jax.vmap(energy_density, (0, 0, None))(local, _per_area(area, face), bodies)
 
 
 def energies_and_forces(
-    position: Array, area: Array, shapes: Array, bodies: tuple[Body, ...]
+    position: Array, area: Array, face: Reference, bodies: tuple[Body, ...]
 ) -> tuple[Array, Array]:
     """Return the contact energy in J and its gradient in N of every face.
 
@@ -252,9 +260,9 @@ def energies_and_forces(
     position : array of shape (n_faces, n_local, 3)
         Deformed nodes in m.
     area : array of shape (n_faces, n_points)
-        Of the undeformed faces, in m2, from :func:`areas`.
-    shapes : array of shape (n_points, n_local)
-        Shape functions of the face at its points.
+        Of the undeformed faces, in m2, from :func:`areas`; zero for faces without energy.
+    face : Reference
+        Reference element of the faces.
     bodies : tuple of Body
 
     Returns
@@ -263,48 +271,64 @@ def energies_and_forces(
     forces : array of shape (n_faces, n_local, 3)
     """
     one = jax.value_and_grad(energy)
-    return jax.vmap(one, (0, 0, None, None))(position, area, shapes, bodies)
+    return jax.vmap(lambda position, area: one(position, area, face, bodies))(position, area)
 
 
-def tangents(position: Array, area: Array, shapes: Array, bodies: tuple[Body, ...]) -> Array:
+def tangents(position: Array, area: Array, face: Reference, bodies: tuple[Body, ...]) -> Array:
     """Return the contact stiffness in N/m of every face, shape (n_faces, 3 n_local, 3 n_local).
 
     Arguments as for :func:`energies_and_forces`.
     """
+    basis, bend = _basis(face), jax.vmap(jax.hessian(energy_density), (0, 0, None))
 
     def of_one(position: Array, area: Array) -> Array:
-        stiffness = jax.vmap(jax.hessian(energy_density), (0, None))(shapes @ position, bodies)
+        local = jnp.einsum("qna,ni->qai", basis, position)
+        stiffness = area[:, None, None, None, None] * bend(local, _per_area(area, face), bodies)
         n = position.size
-        return jnp.einsum("q,qa,qb,qij->aibj", area, shapes, shapes, stiffness).reshape(n, n)
+        half = jnp.einsum("qaibj,qmb->qaimj", stiffness, basis)
+        return jnp.einsum("qna,qaimj->nimj", basis, half).reshape(n, n)
 
     return jax.vmap(of_one)(position, area)
 
 
-def gaps(position: Array, shapes: Array, bodies: tuple[Body, ...]) -> tuple[Array, Array]:
-    """Return the gaps between the faces' points and bodies, and the gradients of the gaps.
+class Touch(NamedTuple):
+    """Gaps between the wall's points and bodies; arrays with axes (body, face, point).
 
-    Parameters
+    Attributes
     ----------
-    position : array of shape (n_faces, n_local, 3)
-        Deformed nodes in m.
-    shapes : array of shape (n_points, n_local)
-        Shape functions of the face at its points.
-    bodies : tuple of Body
-
-    Returns
-    -------
     gap : array of shape (n_bodies, n_faces, n_points)
         In m.
     normal : array of shape (n_bodies, n_faces, n_points, 3)
-        Gradient with respect to the point's position.
+        Gradient of the gap with respect to the point's position.
+    area : array of shape (n_bodies, n_faces, n_points)
+        Area that the body's law refers to, per undeformed area.
     """
-    up = jnp.array([0.0, 1.0, 0.0])
-    points = jnp.einsum("qn,fni->fqi", shapes, position)
-    found = []
-    for body in bodies:
-        at = jax.value_and_grad(lambda point, body=body: body.gap(point - body.height * up))
-        found.append(jax.vmap(jax.vmap(at))(points))
-    return jnp.stack([gap for gap, _ in found]), jnp.stack([normal for _, normal in found])
+
+    gap: Any
+    normal: Any
+    area: Any
+
+
+def gaps(position: Array, area: Array, face: Reference, bodies: tuple[Body, ...]) -> Touch:
+    """Return the gaps between the faces' points and bodies.
+
+    Arguments as for :func:`energies_and_forces`.
+    """
+    basis = _basis(face)
+
+    def at_point(local: Array, per_area: Scalar) -> Touch:
+        projected = _projected(local, per_area)
+        found = []
+        for body in bodies:
+            gap = jax.value_and_grad(lambda point, body=body: body.gap(point - body.height * UP))
+            found.append((*gap(local[0]), body.area(projected)))
+        return Touch(*(jnp.stack(part) for part in zip(*found, strict=True)))
+
+    def of_one(position: Array, area: Array) -> Touch:
+        local = jnp.einsum("qna,ni->qai", basis, position)
+        return jax.vmap(at_point, out_axes=1)(local, _per_area(area, face))
+
+    return jax.vmap(of_one, out_axes=1)(position, area)
 
 
 def pressures(gap: Array, bodies: tuple[Body, ...]) -> tuple[Array, Array]:
@@ -328,7 +352,7 @@ def pressures(gap: Array, bodies: tuple[Body, ...]) -> tuple[Array, Array]:
     return jnp.stack(slopes), jnp.stack(bends)
 
 
-def force(position: Array, area: Array, shapes: Array, body: Body) -> Array:
+def force(position: Array, area: Array, face: Reference, body: Body) -> Array:
     """Return the upward force in N of all faces on a body: minus d(energy) / d(body's height).
 
     Arguments as for :func:`energies_and_forces`, with one body in place of a tuple.
@@ -336,8 +360,9 @@ def force(position: Array, area: Array, shapes: Array, body: Body) -> Array:
 
     def total(height: Scalar) -> Array:
         moved = (body._replace(height=height),)
-        one = jax.vmap(energy, (0, 0, None, None))
-        return jnp.sum(one(position, area, shapes, moved))
+        return jnp.sum(
+            jax.vmap(lambda position, area: energy(position, area, face, moved))(position, area)
+        )
 
     return -jax.grad(total)(body.height)
 
@@ -355,10 +380,9 @@ def contact_area(position: Array, area: Array, shapes: Array, body: Body) -> Arr
         Shape functions of the face at its points.
     body : Body
     """
-    up = jnp.array([0.0, 1.0, 0.0])
 
     def gap(point: Array) -> Array:
-        return body.gap(point - body.height * up)
+        return body.gap(point - body.height * UP)
 
     points = jnp.einsum("qn,fni->fqi", shapes, position)
     return jnp.sum(area * (jax.vmap(jax.vmap(gap))(points) < 0))

@@ -245,9 +245,7 @@ def _residual_derivative(
         case = problem(design)
         _, wall = element.energies_and_forces(displacement[mesh.elements], case.rule, case.material)
         faces = (case.points + displacement)[mesh.outer_faces]
-        _, touch = contact.energies_and_forces(
-            faces, case.outer_area, mesh.face.shapes, case.bodies
-        )
+        _, touch = contact.energies_and_forces(faces, case.outer_area, mesh.face, case.bodies)
         total = case.wrinkle_forces(displacement).at[mesh.elements].add(wall)
         return total.at[mesh.outer_faces].add(touch), case.points
 
@@ -272,7 +270,7 @@ def _force(indentation: Indentation, problem: Callable[[Design], _Problem]) -> A
     def force(displacement: Any, design: Design) -> Any:
         case = problem(design)
         position = (case.points + displacement)[mesh.outer_faces]
-        part = contact.force(position, case.outer_area, mesh.face.shapes, case.bodies[0])
+        part = contact.force(position, case.outer_area, mesh.face, case.bodies[0])
         return mesh.copies * part
 
     return force

@@ -245,10 +245,10 @@ def _moduli(
 def _contracted(
     count: int, gradients: Any, modes: Any, moduli: Any, cofactors: Any, stiffness: Any
 ) -> Any:  # pragma: no cover - compiled
-    """Return element matrices: shape gradients contracted with the moduli of :func:`_moduli`.
+    """Return elements' tangents from the results of :func:`_moduli`, (count, 3 n_local, 3 n_local).
 
-    The components of a node are next to each other in rows and columns; the blocks below the
-    diagonal follow by symmetry.
+    The three components of a node are adjacent in rows and columns. Only pairs of components i <= k
+    are computed; the others follow by symmetry.
     """
     _, n_points, n_local, _ = gradients.shape
     result = np.empty((count, 3 * n_local, 3 * n_local))

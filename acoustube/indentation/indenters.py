@@ -17,7 +17,7 @@ from acoustube.base.checks import LENGTH, PLACE, Optional, check_fields
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Choice, Number
 from acoustube.base.types import Array
-from acoustube.indentation import contact
+from acoustube.indentation import contact, distances
 from acoustube.indentation.contact import Body
 from acoustube.indentation.padding import padded
 from acoustube.tube import Tube
@@ -107,11 +107,11 @@ class Indenter:
         d = np.float64(self.diameter) if diameter is None else diameter
         x, z = np.float64(self.x), np.float64(self.z)
         if self.shape == "rod":
-            return Partial(contact.rod_gap, d / 2, x, z, np.float64(self.yaw))
+            return Partial(distances.rod_gap, d / 2, x, z, np.float64(self.yaw))
         if self.shape == "sphere":
-            return Partial(contact.sphere_gap, d / 2, x, z)
+            return Partial(distances.sphere_gap, d / 2, x, z)
         edge = PUNCH_EDGE * d / 2 if self.edge_radius is None else np.float64(self.edge_radius)
-        return Partial(contact.punch_gap, d / 2, edge, x, z)
+        return Partial(distances.punch_gap, d / 2, edge, x, z)
 
 
 Press = Indenter
@@ -158,12 +158,13 @@ def ground_body(shear_modulus: Any, wall_thickness: Any, height: Any, layer: Lay
     layer : Layer or None
         None for the rigid floor.
     """
-    law = contact.rigid_law(shear_modulus, wall_thickness)
-    if layer is not None:
-        constants = np.float64(layer.modulus), np.float64(layer.thickness)
-        smoothing = contact.CONTACT_SMOOTHING * wall_thickness
-        law = Partial(contact.foundation_energy, *constants, smoothing)
-    return Body(Partial(contact.floor_gap), height, law)
+    gap = Partial(distances.floor_gap)
+    if layer is None:
+        return Body(gap, height, contact.rigid_law(shear_modulus, wall_thickness))
+    constants = np.float64(layer.modulus), np.float64(layer.thickness)
+    smoothing = contact.CONTACT_SMOOTHING * wall_thickness
+    law = Partial(contact.foundation_energy, *constants, smoothing)
+    return Body(gap, height, law, Partial(contact.covered_area))
 
 
 def indenter_bodies(

@@ -45,7 +45,7 @@ EASY_ITERATIONS = 8
 FORCE_TOLERANCE = 1e-8
 """Norm of the residual forces at convergence, in shear moduli times squared bore diameters."""
 SPACING = 1 / 8
-"""Smallest spacing, in bore diameters, of the depths that are solved first, in rising order."""
+"""Smallest spacing in bore diameters of depths solved in rising order, before those in between."""
 EXTRAPOLATED_STATES = 3
 """Largest number of converged states from which an increment's start is extrapolated."""
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 BLOCK = 64
-"""Number of rows of a block."""
+"""Number of rows (elements or faces) in each block of :func:`in_blocks`."""
 
 
 def padded_count(count: int) -> int:

@@ -109,7 +109,7 @@ class Indentation:
         return [i for i, depth in enumerate(self.depth) if depth in wanted]
 
     def position(self, increment: int = -1) -> Array:
-        """Return the deformed nodes of an increment.
+        """Return the positions of the deformed nodes of an increment.
 
         Parameters
         ----------

@@ -9,6 +9,7 @@ import trimesh
 
 from acoustube.base import surfaces
 from acoustube.base.errors import ConfigError
+from acoustube.base.report import counted
 from acoustube.base.types import Array, Mask
 from acoustube.base.units import MM
 from acoustube.tube import Tube
@@ -54,9 +55,9 @@ def separate_walls(surface: trimesh.Trimesh, name: str = "surface") -> Walls:
     parts = surfaces.components(sides)
     if not ends.any() or parts.max() != 1:
         raise ConfigError(
-            f"{name} is not a tube along z: between flat ends it has {parts.max() + 1} separate "
-            "walls, not an inner and an outer one; turn it so that it lies along z, and cut its "
-            "ends square"
+            f"{name} is not a tube along z: between flat ends it has "
+            f"{counted(parts.max() + 1, 'separate wall')}, not an inner and an outer one; turn it "
+            "so that it lies along z, and cut its ends square"
         )
     inner, outer = sorted(
         (_part(sides, parts == i) for i in (0, 1)), key=lambda wall: float(wall.extents[0])

@@ -11,12 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from acoustube.base.types import Array
-from acoustube.inversion.likelihood import Weights
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.motion import Branches, Motion, Update, updated
 from acoustube.inversion.parameters import CLOSEST, split
 from acoustube.inversion.proposals import Proposals
 from acoustube.inversion.search import Front, front_of
+from acoustube.inversion.whitening import Weights
 from acoustube.waves.scattering import Complex
 
 BIRTH = 120.0

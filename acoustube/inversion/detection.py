@@ -22,9 +22,9 @@ import numpy as np
 from acoustube.base.types import Array
 from acoustube.inversion.doubt import doubt_weights
 from acoustube.inversion.hypotheses import Hypothesis
-from acoustube.inversion.likelihood import Weights
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.parameters import CLOSEST, cost_of_press, split
+from acoustube.inversion.whitening import Weights
 from acoustube.waves.scattering import Complex
 
 STEP = 0.5e-3

@@ -14,8 +14,9 @@ from math import sqrt
 
 from acoustube.inversion.fit import evidence, maximise
 from acoustube.inversion.hypotheses import Builder, Hypothesis
-from acoustube.inversion.likelihood import Weights, echo_of, weights
+from acoustube.inversion.likelihood import echo_of, weights
 from acoustube.inversion.model import ForwardModel
+from acoustube.inversion.whitening import Weights
 
 SAMPLES = 10
 """Number of samples over which an echo's error is correlated: 0.8 ms, because of trapped sound."""

@@ -279,7 +279,7 @@ class Inverter:
         )  # fmt: skip
 
     def _echoes(self, best: Hypothesis, builder: Builder) -> tuple[Complex, Complex]:
-        """Return the baseband of the cycles and of a hypothesis, less the untouched tube's."""
+        """Return mean cycle and hypothesis in the baseband, each less the untouched tube's echo."""
         places, depths, nuisances = split(best.fits.parameters[:1])
         untouched = self.model.without_presses(nuisances)[0]
         value = self.model.baseband(best.tools, places, depths, nuisances)[0][0]
@@ -333,7 +333,7 @@ def _pruned(builder: Builder, chain: list[Hypothesis]) -> list[Hypothesis]:
 
 
 def _others(best: Hypothesis, found: list[Hypothesis]) -> list[Hypothesis]:
-    """Return further hypotheses to extend, whose places or depths differ from the best one's."""
+    """Return further hypotheses to extend, whose places or depths differ from all others kept."""
     kept = [best]
     for one in found:
         same = any(

@@ -14,11 +14,11 @@ import numpy as np
 
 from acoustube.base.types import Array
 from acoustube.inversion.births import fronts_of, new_deviations, with_shifts
-from acoustube.inversion.likelihood import Weights
 from acoustube.inversion.model import ForwardModel, Priors
 from acoustube.inversion.motion import Branches, Motion, Update, updated
 from acoustube.inversion.parameters import CLOSEST, split
 from acoustube.inversion.proposals import Proposals
+from acoustube.inversion.whitening import Weights
 from acoustube.waves.scattering import Complex
 
 WIDER = 0.5e-3, 0.15e-3

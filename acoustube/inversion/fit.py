@@ -14,21 +14,25 @@ from dataclasses import dataclass
 from math import log, pi
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acoustube.base.types import Array, Index
-from acoustube.inversion.likelihood import Weights
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.parameters import bounded, limited, split
+from acoustube.inversion.whitening import Weights
 from acoustube.waves.scattering import Complex
 
 CONVERGED = 0.02
 """Decrease of the cost per iteration up to which the iterations end."""
 DAMPING, RAISED, LOWERED = 1e-2, 6.0, 5.0
 """Initial damping, its factor after a step that raises the cost, and its divisor otherwise."""
-AT_ONCE = 8
+AT_ONCE = 16
 """Number of sets of parameters whose scattering is computed at once: some MB, which fit a cache."""
 DISTINCT = 0.3e-3, 0.02e-3
 """Differences of place and depth in m below which two maxima count as one."""
+ALIKE = 0.1
+"""Difference of nuisance parameters, relative to the deviation of their prior, below which two sets
+of parameters count as one while maxima are sought."""
 SAME_MAXIMUM = 4.0
 """Squared Mahalanobis distance of two maxima below which they also count as one."""
 PATIENCE, FAR_WORSE = 3, 1e3
@@ -92,12 +96,14 @@ def maximise(
     samples: Complex,
     whiten: Weights,
     iterations: int = 12,
-    known: float | None = None,
+    known: Fits | None = None,
 ) -> Fits:
     """Return a maximum of the likelihood next to each starting point, by Levenberg and Marquardt.
 
     The fits are in the order of the starting points. A starting point whose cost stays far above
-    the least, or above that of a known maximum, is given up: its last parameters are returned.
+    the least, or above that of a known maximum, or that comes to the known maximum, is given up:
+    its last parameters are returned. One that comes to the parameters of a better one has the
+    maximum of the latter. Parameters are equal within :data:`DISTINCT` and :data:`ALIKE`.
 
     Parameters
     ----------
@@ -111,17 +117,28 @@ def maximise(
     whiten : Weights
     iterations : int
         Largest number of iterations.
-    known : float, optional
-        Cost of the best maximum that is known already.
+    known : Fits, optional
+        Maxima that are known already, the best first; only the best counts.
     """
     at = bounded(model, tools, start)
     cost, gradient, information = _quadratic(model, tools, at, samples, whiten)
     damping, active = np.full(len(at), DAMPING), np.ones(len(at), bool)
+    leader, m = np.arange(len(at)), len(tools)
+
+    def alike(one: Array, other: Array) -> NDArray[np.bool_]:
+        off = (one - other)[..., 2 * m :]
+        return np.asarray(np.all(np.abs(off) < ALIKE * model.priors.deviations, axis=-1))
+
     for number in range(iterations):
         if known is not None:
-            active &= cost < known + GIVEN_UP[min(number, len(GIVEN_UP) - 1)]
+            active &= cost < known.cost[0] + GIVEN_UP[min(number, len(GIVEN_UP) - 1)]
+            same = _near(at, known.parameters[0], m) & alike(at, known.parameters[0])
+            active &= ~(same & (cost >= known.cost[0]))
         elif number >= PATIENCE:
             active &= cost < cost.min() + FAR_WORSE / 2 ** (number - PATIENCE)
+        if number:
+            _follow(leader, _near(at[:, None], at, m) & alike(at[:, None], at), cost)
+            active &= leader == np.arange(len(at))
         i = np.flatnonzero(active)
         if not len(i):
             break
@@ -139,7 +156,32 @@ def maximise(
         at[j], cost[j] = tried[better], new[0][better]
         gradient[j], information[j] = new[1][better], new[2][better]
         active[i] = (gain > CONVERGED) & (damping[i] < 1e5)
-    return Fits(at, cost, information)
+    for _ in range(iterations):  # a leader may follow another
+        leader = leader[leader]
+    return Fits(at[leader], cost[leader], information[leader])
+
+
+def _near(one: Array, other: Array, n_presses: int) -> NDArray[np.bool_]:
+    """Return whether places and depths of parameters (..., p) agree within :data:`DISTINCT`."""
+    off = (one - other)[..., : 2 * n_presses]
+    return np.asarray(np.all(np.abs(off) < np.tile(DISTINCT, n_presses), axis=-1))
+
+
+def _follow(leader: NDArray[np.int_], near: NDArray[np.bool_], cost: Array) -> None:
+    """Let each starting point follow the best one near it.
+
+    Parameters
+    ----------
+    leader : ndarray
+        Index of the starting point that each follows, which may be its own, (n,). Changed in place.
+    near : ndarray
+        Whether two starting points have come to the same parameters, (n, n).
+    cost : ndarray
+        (n,).
+    """
+    free = leader == np.arange(len(leader))
+    best = np.argmin(np.where(near & free, cost, np.inf), axis=1)
+    leader[free] = best[free]
 
 
 def _quadratic(
@@ -200,13 +242,12 @@ def evidence(model: ForwardModel, tools: tuple[int, ...], fits: Fits, whiten: We
 def distinct(fits: Fits, n_presses: int) -> Fits:
     """Return the distinct maxima, the best first; of those that count as one, the best is kept."""
     fits = fits.sorted()
-    scale = np.tile(DISTINCT, n_presses)
     kept: list[int] = []
     for i in range(len(fits.cost)):
         same = False
         for j in kept:
             off = fits.parameters[i] - fits.parameters[j]
-            close = bool(np.all(np.abs(off[: 2 * n_presses]) < scale))
+            close = bool(_near(fits.parameters[i], fits.parameters[j], n_presses))
             near = float(off @ fits.information[j] @ off) < SAME_MAXIMUM
             same = same or close or near
         if not same:

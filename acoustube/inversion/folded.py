@@ -34,8 +34,8 @@ HALF_BAND = 0.13
 """Half width of the band about half the sampling rate, relative to the carrier frequency."""
 FARTHEST = 0.08
 """Largest difference of the carrier and half the sampling rate, relative to the carrier."""
-FINER = 4
-"""Oversampling factor with which the ring-down is computed."""
+RING_DOWN_OVERSAMPLING = 4
+"""Ratio of the rate at which the ring-down of a folded band is computed to the sampling rate."""
 
 
 class FoldedBaseband(Baseband):
@@ -89,11 +89,12 @@ class FoldedBaseband(Baseband):
 
     def ring_down(self) -> Complex:
         """Return the baseband of the ring-down from the rangefinder's parameters, (n_time,)."""
-        r, n, rate = self.rangefinder, FINER * self.period, FINER * self.rate
+        every = RING_DOWN_OVERSAMPLING
+        r, n, rate = self.rangefinder, every * self.period, every * self.rate
         f = np.asarray(np.fft.rfftfreq(n, 1 / rate)[1:], float).astype(complex)
         spectrum = r.send * sent_spectrum(r, f, rate, n, 0.0) * r.resonator(f)
         spectrum *= np.exp(-2j * pi * f * r.lead) * self.per_volt
-        samples = np.fft.irfft(np.concatenate([[0], spectrum]) * rate, n)[::FINER]
+        samples = np.fft.irfft(np.concatenate([[0], spectrum]) * rate, n)[::every]
         return self._of_samples(samples[: self.n_samples])
 
     @property

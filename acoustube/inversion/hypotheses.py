@@ -15,11 +15,12 @@ import numpy as np
 
 from acoustube.base.types import Array
 from acoustube.inversion.fit import Fits, distinct, evidence, maximise
-from acoustube.inversion.likelihood import Weights, deviance_of, echo_of, weights
+from acoustube.inversion.likelihood import deviance_of, echo_of, weights
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.other_depths import other_depths
 from acoustube.inversion.parameters import CLOSEST, cost_of_press, joined, split
 from acoustube.inversion.search import Templates, front_of
+from acoustube.inversion.whitening import Weights
 from acoustube.waves.scattering import Complex
 
 ERRORS = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4)
@@ -37,7 +38,7 @@ SHIFTS = (
 JOINT = -3, -2, -1, 1, 2, 3
 """Shifts of all presses together, in half wavelengths."""
 POOR = 0.05
-"""Relative model error above which the maxima of joint shifts get estimated errors of their own."""
+"""Relative model error above which it is estimated anew at the maxima found by joint shifts."""
 JUDGED = 4
 """Largest number of maxima of joint shifts whose model error is estimated."""
 OUTLIER = 9.0
@@ -199,7 +200,7 @@ class Builder:
     ) -> list[tuple[tuple[int, ...], Fits]]:
         """Return tools and fits with one more press, the best first.
 
-        There is a pair for each tool of the press, and each order of the tools along the tube.
+        There is a pair for each tool of the new press and each index of this press along the tube.
 
         Parameters
         ----------
@@ -246,7 +247,7 @@ class Builder:
     def _added(
         self, known: Hypothesis, tool: int, place: Array, depth: Array, whiten: Weights
     ) -> list[tuple[tuple[int, ...], Fits]]:
-        """Return the fits with one more press, for each order of the tools along the tube."""
+        """Return the fits with one more press, for each index of this press along the tube."""
         places, depths, nuisances = split(known.fits.parameters[:1])
         apart = np.abs(place[:, None] - places).min(axis=1, initial=np.inf) > CLOSEST
         rank = np.searchsorted(places[0], place)
@@ -298,8 +299,7 @@ class Builder:
             afresh = np.concatenate([known.best[None], joint])
             afresh[:, 2 * m :] = self.start
             start = np.concatenate([start, joint, afresh])
-        least = float(known.fits.cost[0])
-        fits = maximise(self.model, known.tools, start, self.samples, known.whiten, 8, least)
+        fits = maximise(self.model, known.tools, start, self.samples, known.whiten, 8, known.fits)
         if m > 1 and known.error > POOR:
             # The model error that is most likely at a wrong place hides the right one.
             n = m * len(moves)

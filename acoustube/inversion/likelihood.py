@@ -6,17 +6,20 @@ model in proportion to the echo, one at all times, and one of the losses in the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
-from scipy.linalg.lapack import ztrtri
 
 from acoustube.base.types import Array
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.parameters import split
+from acoustube.inversion.whitening import (
+    FullWeights,
+    RankOneWeights,
+    Weights,
+    log_determinant,
+)
 from acoustube.waves.scattering import Complex
 
 INDEPENDENT_SHARE = 1e-3
@@ -28,51 +31,45 @@ of this tail at its start. Each sample of the echo adds a tail; its power is rel
 sample's own."""
 
 
-@dataclass(frozen=True, eq=False)
-class Weights:
-    """Whitening of the baseband.
+class Echo(NamedTuple):
+    """Echo of presses in the baseband, and the errors that go with it, all (n_time,).
 
     Attributes
     ----------
-    matrix : ndarray
-        Inverse of the Cholesky factor of the covariance of the first n samples, times the root of
-        the baseband's `freedom`, (n, n). A row depends only on the samples up to its own time, so
-        that the first rows are the weights of the first samples.
-    log_determinant : float
-        Logarithm of the determinant of the covariance of all samples, times `freedom`.
-    spread : float
-        Error of the model at all times, relative to the highest echo.
+    value : ndarray
+        In counts.
+    power : ndarray
+        Variance in counts squared of an error of the model in proportion to the echo, for a
+        relative error of 1.
+    by_losses : ndarray or None
+        Change of the echo due to an error of one standard deviation of the losses in the presses.
+        Trapped sound then decays faster or slower, which after some milliseconds exceeds any error
+        in proportion to the echo. None if this error is left out.
     """
 
-    matrix: Complex
-    log_determinant: float
-    spread: float = 0.0
+    value: Complex
+    power: Array
+    by_losses: Complex | None
 
-    def __call__(self, samples: Complex) -> Complex:
-        """Return whitened samples (..., n) of samples (..., n_time)."""
-        return samples[..., : len(self.matrix)] @ self.matrix.T
 
-    def in_single_precision(self, samples: Complex) -> Complex:
-        """Return samples whitened in single precision, which is enough for derivatives."""
-        given = samples[..., : len(self.matrix)].astype(np.complex64, copy=False)
-        return np.asarray(given @ self._single.T)
+def echo_from(model: ForwardModel, value: Complex, by_losses: Complex | None = None) -> Echo:
+    """Return the echo whose `value` and `by_losses` are given, both (n_time,) in counts."""
+    from scipy.signal import lfilter  # loads statistics too, 20 MB that a sensor does not need
 
-    @cached_property
-    def _single(self) -> Complex:
-        return self.matrix.astype(np.complex64)
+    power = np.convolve(np.abs(value) ** 2, [0.25, 0.5, 0.25], "same")
+    tail = lfilter([1.0], [1.0, -np.exp(-model.base.interval / RINGING)], power)
+    return Echo(value, power + RINGING_SHARE * tail, by_losses)
 
-    def weighted(self, samples: Complex) -> Complex:
-        """Return :attr:`precision` times the first n of samples (n_time,): an array (n,)."""
-        return np.asarray(self(samples) @ self.matrix.conj())
 
-    def until(self, n: int) -> Weights:
-        """Return the weights of the first n samples alone; `log_determinant` is kept."""
-        return replace(self, matrix=self.matrix[:n, :n])
-
-    @cached_property
-    def precision(self) -> Complex:
-        """Inverse of the covariance of the first n samples, times `freedom`, (n, n)."""
-        return np.asarray(self.matrix.conj().T @ self.matrix)
+def echo_of(model: ForwardModel, tools: tuple[int, ...], parameters: Array) -> Echo:
+    """Return the echo of presses for parameters (n_parameters,)."""
+    places, depths, nuisances = split(parameters[None])
+    value = model.baseband(tools, places, depths, nuisances)[0][0]
+    echo = value - model.without_presses(nuisances)[0]
+    if not tools or model.priors.losses == 0:
+        return echo_from(model, echo)
+    by_losses = model.priors.losses * model.by_losses(tools, places, depths, nuisances)[0]
+    return echo_from(model, echo, by_losses)
 
 
 def weights(
@@ -97,38 +94,11 @@ def weights(
         Error of the model at all times, relative to the highest echo, due to multiple reflections
         that the model lacks.
     """
-    factor, scale = _factor(model, noise, error, echo, spread)
-    inverse, _ = ztrtri(factor, lower=1)
-    freedom = model.base.freedom
-    logarithm = freedom * _log_determinant(factor, scale)
-    return Weights(np.sqrt(freedom) * inverse * scale, logarithm, spread)
-
-
-class Echo(NamedTuple):
-    """Echo of presses in the baseband, and its change with their losses, both (n_time,).
-
-    Attributes
-    ----------
-    value : ndarray
-        In counts.
-    by_losses : ndarray or None
-        Change of the echo due to an error of one standard deviation of the losses in the presses.
-        Trapped sound then decays faster or slower, which after some milliseconds exceeds any error
-        in proportion to the echo. None if this error is left out.
-    """
-
-    value: Complex
-    by_losses: Complex | None
-
-
-def echo_of(model: ForwardModel, tools: tuple[int, ...], parameters: Array) -> Echo:
-    """Return the echo of presses for parameters (n_parameters,)."""
-    places, depths, nuisances = split(parameters[None])
-    value = model.baseband(tools, places, depths, nuisances)[0][0]
-    echo = value - model.without_presses(nuisances)[0]
-    if not tools or model.priors.losses == 0:
-        return Echo(echo, None)
-    return Echo(echo, model.priors.losses * model.by_losses(tools, places, depths, nuisances)[0])
+    variance, losses = _errors(model, noise, error, echo, spread)
+    if model.clutter.shapes is None:
+        return RankOneWeights.of(variance, losses, model.base.freedom, spread)
+    factor, scale = _factor(model.clutter.covariance, variance, losses)
+    return FullWeights.of(factor, scale, model.base.freedom, spread)
 
 
 def deviance_of(
@@ -143,9 +113,8 @@ def deviance_of(
 
     The other arguments are those of :func:`weights`.
     """
-    white, logarithm = whitened(model, noise, error, echo, spread, residual[:, None])
-    deviance = 2 * float(np.sum(np.abs(white) ** 2)) + 2 * logarithm
-    return float(model.base.freedom) * deviance
+    white, logarithm = whitened(model, noise, error, echo, spread, residual)
+    return 2 * float(np.sum(np.abs(white) ** 2)) + 2 * logarithm
 
 
 def whitened(
@@ -156,67 +125,65 @@ def whitened(
     spread: float,
     samples: Complex,
 ) -> tuple[Complex, float]:
-    """Return whitened samples (n_time, n), and the logarithm of the covariance's determinant.
+    """Return whitened samples (..., n_time), and :attr:`.Weights.log_determinant`.
 
-    This is for weights that are used once. Unlike in :class:`Weights`, neither result is scaled by
-    the baseband's `freedom`. The Cholesky factor is not inverted, and is in single precision where
-    that changes a deviance by less than 0.01. This is so where the independent part of each
-    sample's variance is not small (:data:`INDEPENDENT_SHARE`).
+    This is for weights that are used once. The Cholesky factor of correlated errors is not
+    inverted, and is in single precision where that changes a deviance by less than 0.01. This is so
+    where the independent part of each sample's variance is not small (:data:`INDEPENDENT_SHARE`).
 
     Parameters
     ----------
     model, noise, error, echo, spread
         See :func:`weights`.
     samples : ndarray
-        (n_time, n).
+        (..., n_time).
     """
-    factor, scale = _factor(model, noise, error, echo, spread, single=True)
-    given = (samples * scale[:, None]).astype(factor.dtype)
-    white = solve_triangular(factor, given, lower=True, overwrite_b=True, check_finite=False)
-    return np.asarray(white, complex), _log_determinant(factor, scale)
+    if model.clutter.shapes is None:
+        whiten = weights(model, noise, error, echo, spread)
+        return whiten(samples), whiten.log_determinant
+    variance, losses = _errors(model, noise, error, echo, spread)
+    known = model.clutter.covariance
+    power = 0.0 if losses is None else np.abs(losses) ** 2
+    if np.all(variance > INDEPENDENT_SHARE * (np.diag(known).real + variance + power)):
+        known = model.clutter.covariance_single
+    factor, scale = _factor(known, variance, losses)
+    flat = (samples * scale).astype(factor.dtype).reshape(-1, len(scale))
+    white = solve_triangular(factor, flat.T, lower=True, overwrite_b=True, check_finite=False)
+    freedom = model.base.freedom
+    found = np.sqrt(freedom) * np.asarray(white.T, complex).reshape(samples.shape)
+    return found, freedom * log_determinant(factor, scale)
 
 
-def _factor(
-    model: ForwardModel, noise: float, error: float, echo: Echo | None, spread: float,
-    *, single: bool = False,
-) -> tuple[Complex, Array]:  # fmt: skip
+def _errors(
+    model: ForwardModel, noise: float, error: float, echo: Echo | None, spread: float
+) -> tuple[Array, Complex | None]:
+    """Return the variances of the independent errors and the error of the losses, both (n_time,).
+
+    The unknown part of the clutter is not included. The second is one standard deviation, or None.
+    """
+    variance = np.full(len(model.base.used), noise + model.clutter.variance)
+    if echo is None:
+        return variance, None
+    variance += (spread * np.abs(echo.value).max()) ** 2 + error**2 * echo.power
+    return variance, echo.by_losses
+
+
+def _factor(known: Complex, variance: Array, losses: Complex | None) -> tuple[Complex, Array]:
     """Return the Cholesky factor of the covariance scaled to a unit diagonal, and the scale.
 
-    With `single`, the factor is in single precision where that is enough.
+    Parameters
+    ----------
+    known : ndarray
+        Covariance of the unknown part of clutter and ring-down, (n_time, n_time), whose precision
+        is that of the factor.
+    variance, losses
+        From :func:`_errors`.
     """
-    own, known = _diagonal(model, noise, error, echo, spread), model.clutter.covariance
-    losses = None if echo is None else echo.by_losses
     power = 0.0 if losses is None else np.abs(losses) ** 2
-    scale = (np.diag(known).real + own + power) ** -0.5
-    if single and np.all(own * scale**2 > INDEPENDENT_SHARE):
-        known = model.clutter.covariance_single
+    scale = (np.diag(known).real.astype(float) + variance + power) ** -0.5
     scaled = known * (scale[:, None] * scale).astype(known.real.dtype)
-    scaled[np.diag_indices(len(scale))] += own * scale**2
+    scaled[np.diag_indices(len(scale))] += variance * scale**2
     if losses is not None:
         scaled += np.outer(scale * losses, (scale * losses).conj()).astype(known.dtype)
     factor = cholesky(scaled, lower=True, overwrite_a=True, check_finite=False)
     return np.asarray(factor), scale
-
-
-def _log_determinant(factor: Complex, scale: Array) -> float:
-    """Return the log determinant of the covariance, from the Cholesky factor of the scaled one."""
-    size = np.log(np.diag(factor).real.astype(float)) - np.log(scale)
-    return 2 * float(size.sum())
-
-
-def _diagonal(
-    model: ForwardModel, noise: float, error: float, echo: Echo | None, spread: float
-) -> Array:
-    """Return the variances of the parts that are independent between samples, (n_time,)."""
-    variance = np.full(len(model.base.used), noise)
-    if echo is None:
-        return variance
-    variance += (spread * np.abs(echo.value).max()) ** 2
-    if error > 0:
-        from scipy.signal import lfilter  # loads statistics too, 20 MB that a sensor does not need
-
-        power = np.convolve(np.abs(echo.value) ** 2, [0.25, 0.5, 0.25], "same")
-        step = model.base.interval
-        tail = lfilter([1.0], [1.0, -np.exp(-step / RINGING)], power)
-        variance += error**2 * (power + RINGING_SHARE * tail)
-    return variance

@@ -67,15 +67,10 @@ def discrepancy(
     value, jacobian = model.baseband(known.tools, places, depths, nuisances)
     echo = echo_of(model, known.tools, known.best)
     both = np.concatenate([(samples - value)[:, None], jacobian], axis=1)
-    freedom = model.base.freedom
 
     def restricted(error: float) -> Array:
-        flat = both.reshape(-1, both.shape[2]).T
-        white, size = whitened(model, noise, error, echo, known.whiten.spread, flat)
-        white = np.sqrt(freedom) * white.T.reshape(both.shape)
-        return restricted_deviance(
-            model, known.fits.parameters, white[:, 0], white[:, 1:], freedom * size
-        )
+        white, size = whitened(model, noise, error, echo, known.whiten.spread, both)
+        return restricted_deviance(model, known.fits.parameters, white[:, 0], white[:, 1:], size)
 
     deviance = np.array([restricted(error) for error in ERRORS])
     likelihood = np.exp(-0.5 * (deviance - deviance.min(axis=0)))

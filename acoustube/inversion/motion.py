@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from acoustube.base.checks import check_fields
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
-from acoustube.inversion.likelihood import Weights
 from acoustube.inversion.model import NUISANCES, ForwardModel, Priors
 from acoustube.inversion.parameters import LARGEST_STEPS, bounded, split
+from acoustube.inversion.whitening import Weights
 from acoustube.waves.scattering import Complex
 
 Numbers = NDArray[np.integer[Any]]

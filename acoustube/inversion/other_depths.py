@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from acoustube.inversion.fit import Fits, maximise
-from acoustube.inversion.likelihood import Weights
 from acoustube.inversion.model import ForwardModel
+from acoustube.inversion.whitening import Weights
 from acoustube.waves.scattering import Complex
 
 STEP = 0.4e-3
@@ -47,5 +47,4 @@ def other_depths(model: ForwardModel, known: Fits, tools: tuple[int, ...], sampl
         start = np.repeat(known.parameters[:1], len(depths), axis=0)
         start[:, 2 * i + 1] = depths
         starts.append(start)
-    least = float(known.cost[0])
-    return maximise(model, tools, np.concatenate(starts), samples, whiten, ITERATIONS, least)
+    return maximise(model, tools, np.concatenate(starts), samples, whiten, ITERATIONS, known)

@@ -144,7 +144,7 @@ class StraightPath:
         if not length - BEFORE_END > nearest:
             raise ConfigError(
                 f"a tube of length {length:.4g} m has no place for a press beyond {nearest:.3g} m, "
-                "the nearest that can be located; use a longer tube or a shorter drive"
+                "the nearest distance that can be located; use a longer tube or a shorter drive"
             )
         return nearest, length - BEFORE_END
 
@@ -199,4 +199,14 @@ def stretches(
     for number, (start, stop) in enumerate(pairwise(edges)):
         parts = 1 if np.isinf(path.stretch) else max(1, round((stop - start) / path.stretch))
         found += [(float(at), number) for at in np.linspace(start, stop, parts + 1)[:-1]]
+    return found
+
+
+def propagation_factor(phases: Complex) -> Complex:
+    """Return exp(-j phases) in single precision, several times as fast as in double."""
+    turn = phases.real / (2 * np.pi)
+    angle = (-2 * np.pi * (turn - np.rint(turn))).astype(np.float32)
+    size = np.exp(phases.imag.astype(np.float32))
+    found = np.empty(phases.shape, np.complex64)
+    found.real, found.imag = size * np.cos(angle), size * np.sin(angle)
     return found

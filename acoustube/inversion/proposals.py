@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from acoustube.base.types import Array
-from acoustube.inversion.likelihood import Weights, weights
+from acoustube.inversion.likelihood import weights
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.paths import stretches
 from acoustube.inversion.search import (
@@ -25,6 +25,7 @@ from acoustube.inversion.search import (
     within_range,
 )
 from acoustube.inversion.tables import Matrices
+from acoustube.inversion.whitening import Weights
 from acoustube.waves.scattering import Complex
 
 PLACE_STEP, DEPTH_STEP = 3e-3, 0.25e-3
@@ -70,7 +71,7 @@ class PlaneFilter:
         self.shapes = np.conj(shapes).astype(np.complex64)
         self.turns = np.exp(2j * self._phases(self.places).conj().T).astype(np.complex64)
         quiet = weights(model, noise, 0.0, None)
-        self.quiet = _precision(quiet)
+        self.quiet = quiet.sample_precision
         nodes = np.arange(low, high + NODES, NODES)
         zones = np.searchsorted(starts, nodes, side="right") - 1
         turned = np.exp(-2j * self._phases(nodes))
@@ -140,7 +141,7 @@ class PlaneFilter:
     def _dimmed(self, whiten: Weights) -> Array:
         """Return the precision at the echo of each place over that without contacts, (n,)."""
         base = self.model.base
-        ratio = _precision(whiten) / self.quiet
+        ratio = whiten.sample_precision / self.quiet
         width = max(1, round(SMOOTHED / base.interval))
         smooth = np.convolve(ratio, np.ones(width) / width, "same")
         return np.interp(2 * self.places / base.speed + self.delay, base.window, smooth)
@@ -195,8 +196,3 @@ def _reflection(model: ForwardModel, matrices: Matrices, place: float) -> Comple
     """Return the plane wave's reflection by presses of all depths at a place, (n_depths, n_f)."""
     at = np.full(len(matrices.value), place)
     return model.path.joined(matrices, at, np.zeros(len(at))).value[:, :, 0, 0, 0, 0]
-
-
-def _precision(whiten: Weights) -> Array:
-    """Return the precision of each sample: the diagonal of the inverse covariance, (n_time,)."""
-    return np.asarray(np.sum(np.abs(whiten.matrix) ** 2, axis=0))

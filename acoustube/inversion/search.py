@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from acoustube.base.types import Array
 from acoustube.inversion.baseband import Baseband
-from acoustube.inversion.likelihood import Weights
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.parameters import CLOSEST
-from acoustube.inversion.paths import Path, stretches
+from acoustube.inversion.paths import Path, propagation_factor, stretches
+from acoustube.inversion.whitening import Weights
 from acoustube.waves.scattering import Complex
 
 COARSE, FINE, FINE_REACH = 3e-3, 0.5e-3, 12e-3
@@ -136,11 +136,10 @@ class Templates:
         sought = within_range(self.places, within)
         zones, starts = self._zones(fronts, temperature, field)
         owner = np.searchsorted(starts, self.places, side="right") - 1
-        precision = whiten.precision.T.astype(np.complex64)
         for number_of_zone, zone in enumerate(zones):
             here = sought & (owner == number_of_zone)
             if here.any():
-                zone.set_energy(base, precision, self.places[here])
+                zone.set_energy(base, whiten, self.places[here])
                 level = np.abs(zone.correlation(self.places[here]))
                 coarse[:, here] = 2 * (2 * level - zone.energy_at(self.places[here]))
         exclude(coarse, self.places, [front.place for front in fronts], sought)
@@ -226,14 +225,13 @@ class _Zone:
         """Return the modes' phases in rad from the origin to places, (n_places, n_f, m)."""
         return self.path.phases(places, self.warmer) - self.start
 
-    def set_energy(self, base: Baseband, precision: Complex, places: Array) -> None:
+    def set_energy(self, base: Baseband, whiten: Weights, places: Array) -> None:
         """Compute the energies of templates at nodes that cover places.
 
         Parameters
         ----------
         base : Baseband
-        precision : ndarray
-            Inverse of the covariance of the first samples, transposed, (n, n).
+        whiten : Weights
         places : ndarray
             Distances from the face in m, rising, (n_places,).
         """
@@ -241,14 +239,12 @@ class _Zone:
         low, high = places[0] - FINE_REACH - step, places[-1] + FINE_REACH + 2 * step
         self.nodes = np.arange(low, high, step)
         energy = np.empty((len(self.nodes), len(self.parts[0][0])), np.float32)
-        sounds = base.echo_ranges(self.nodes, BEFORE, LASTING, len(precision))
+        sounds = base.echo_ranges(self.nodes, BEFORE, LASTING, whiten.n_samples)
         for some in np.array_split(np.arange(len(self.nodes)), 1 + len(self.nodes) // CHUNK):
             samples = base.transformed(self._spectra(np.maximum(self.nodes[some], self.origin)))
             for i, part in zip(some, samples, strict=True):
                 start, stop = sounds[i]
-                heard = part[:, start:stop]
-                weighted = heard @ precision[start:stop, start:stop]
-                energy[i] = (heard.real * weighted.real + heard.imag * weighted.imag).sum(axis=-1)
+                energy[i] = whiten.energies(part[:, start:stop], start)
         least = FAINTEST * energy.max(axis=1, keepdims=True)
         self.level = np.log(np.maximum(np.maximum(energy, least), 1e-30).T)
 
@@ -284,16 +280,6 @@ class _Zone:
         """Return the propagation factors of parts to places and back, (n_places, n_parts, n_f)."""
         modes = propagation_factor(self.phases(places))
         return np.stack([modes[..., a] * modes[..., b] for _, a, b in self.parts], axis=1)
-
-
-def propagation_factor(phases: Complex) -> Complex:
-    """Return exp(-j phases) in single precision, several times as fast as in double."""
-    turn = phases.real / (2 * np.pi)
-    angle = (-2 * np.pi * (turn - np.rint(turn))).astype(np.float32)
-    size = np.exp(phases.imag.astype(np.float32))
-    found = np.empty(phases.shape, np.complex64)
-    found.real, found.imag = size * np.cos(angle), size * np.sin(angle)
-    return found
 
 
 def around(place: float) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from acoustube.waves.modes.grid_modes import mode_numbers
 from acoustube.waves.scattering import Complex
 
 FINER = 2
-"""Ratio of the frequency step of the tool to that of the splines."""
+"""Frequency step of a tool's scattering matrices over that of the splines."""
 WIDEST_STRETCH = 0.02
 """Largest relative frequency shift that the splines cover."""
 EARLIEST, DECAY, FAINTEST = -0.4e-3, 0.7e-3, 1e-7

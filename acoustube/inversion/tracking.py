@@ -236,7 +236,7 @@ class ContactTracker:
         prior = np.zeros(p)
         prior[p - len(NUISANCES) :] = 1 / self.model.priors.deviations**2
         whole = np.linalg.inv(found.information + np.diag(prior + 1e-9))
-        back = found.slopes.conj() @ self.track.whiten.matrix
+        back = self.track.whiten.adjoint(found.slopes)
         power = (back @ back.conj().swapaxes(1, 2)).real
         own = found.information - 2 / self.model.base.freedom * noise * power
         return np.maximum(np.einsum("nij,njk,nki->ni", whole, own, whole), 0.0)

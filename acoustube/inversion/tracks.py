@@ -24,7 +24,7 @@ from acoustube.inversion.births import (
 from acoustube.inversion.cycle import Cycle, Known
 from acoustube.inversion.estimate import MISFIT
 from acoustube.inversion.fewer import UNUSUAL, one_for_two, refitted, widened
-from acoustube.inversion.likelihood import Echo, Weights, weights
+from acoustube.inversion.likelihood import Echo, echo_from, weights
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.motion import (
     LOST,
@@ -38,6 +38,7 @@ from acoustube.inversion.motion import (
 from acoustube.inversion.parameters import split
 from acoustube.inversion.proposals import Proposals
 from acoustube.inversion.search import around
+from acoustube.inversion.whitening import Weights
 from acoustube.waves.scattering import Complex
 
 BRANCHES, YOUNG_BRANCHES = 2, 5
@@ -191,7 +192,7 @@ class Track:
         own = self.branches.mean[:1, 2 * len(self.known) : self.branches.parameters]
         self.untouched = self.model.without_presses(own)[0]
         explained = cycle.samples - found.rest[0]
-        self.echo = Echo(explained - self.untouched, None) if self.known else None
+        self.echo = echo_from(self.model, explained - self.untouched) if self.known else None
 
     def _explored(self, prior: Branches, found: Update, cycle: Cycle) -> Update:
         """Return the branches after a search for new contacts or other maxima, if one is due."""

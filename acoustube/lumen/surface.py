@@ -28,7 +28,7 @@ SEALING_PRESSURE = 1e3
 than a hundredth of the pressure that the barrier of the self-contact exerts on silicone at half its
 activation distance."""
 STRAIGHTENING_ROOM = 1.02
-"""Largest ratio of the length of a straightened pressed part to its undeformed length."""
+"""Largest length of a bent pressed part, once straightened, over its undeformed length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +51,8 @@ class Lumen:
         Height in m of gaps whose walls are pressed together by `SEALING_PRESSURE`. They count as
         half sealed, although the barrier of the self-contact keeps them open. With 0, the default,
         no gap counts as sealed.
+    same : float
+        Distance in m up to which rings, or mirror images, count as equal.
     """
 
     rings: Array
@@ -58,6 +60,7 @@ class Lumen:
     position: float
     symmetric: bool = True
     sealing_gap: float = 0.0
+    same: float = 1e-9
 
     @property
     def surface(self) -> trimesh.Trimesh:

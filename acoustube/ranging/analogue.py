@@ -261,15 +261,16 @@ def response(
 
     Notes
     -----
-    With the spectrum E of the drive behind loudspeaker and microphone, the resonator's response H,
-    the face's reflection coefficient r and the pressure p at the face over the launched pressure,
-    the voltage is
+    With the spectrum E of the drive, filtered by loudspeaker and microphone, the resonator's
+    response H, the face's reflection coefficient r and the pressure p at the face over the launched
+    pressure, the voltage is
     ``send H E + gain H^2 E (p - 1) / (1 + r)``, to which the clutter is added as a part of the
     incident wave (p - 1) / (1 + r). It is computed in the frequency domain and filtered without
     delay, by a raised cosine that falls from 1 at 0.8 of the Nyquist frequency to 0 at that
-    frequency. No finer step is needed, and nothing is aliased. Only a burst whose band exceeds half
-    the sampling rate is sampled without such a filter, as on EchoTube's board: it is computed at a
-    multiple of the rate, and the samples between the recorded ones are dropped.
+    frequency. No finer step is needed, and nothing is aliased. Only where :func:`oversampling`
+    exceeds 1, as for a burst whose band exceeds half the sampling rate, is there no such filter, as
+    on EchoTube's board: the voltage is computed at that multiple of the rate, and the samples
+    between the recorded ones are dropped.
     """
     every = oversampling(rangefinder)
     rate, n = every * rangefinder.sampling_rate, every * rangefinder.n_samples

@@ -58,7 +58,7 @@ class Burst(Section):
     Attributes
     ----------
     frequency : float
-        In Hz. Default 42 kHz (data sheet).
+        In Hz. Default 42 kHz (data sheet of the rangefinder).
     cycles : float
         Default 13 (data sheet).
     shape : str

@@ -15,7 +15,7 @@ from acoustube.recordings.tables import Contents, meaning, read_table, with_unit
 
 
 def load(path: Path) -> Contents:
-    """Read the named arrays of a file; NPY, WAV and whole arrays of HDF5 are memory-mapped.
+    """Read the named arrays of a file; those stored uncompressed may be memory-mapped.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def load(path: Path) -> Contents:
     Returns
     -------
     dict
-        Arrays and single values by their name in the file, and a Note where its reading needs one.
+        Arrays and single values by name, and a Note if the layout of a table had to be guessed.
         A signal has the shape (cycle, time), (time,) or, with channels, (cycle, time, channel).
 
     Raises

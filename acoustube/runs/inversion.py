@@ -38,7 +38,7 @@ from acoustube.runs.wrap import read_wrap
 
 CONTACT_COLUMNS = (
     "probability", "distance_cm", "distance_sd_cm", "depth_mm", "depth_sd_mm", "force_n",
-    "force_sd_n", "indenter_mm", "misfit",
+    "force_sd_n", "indenter_mm", "misfit", "shape",
 )  # fmt: skip
 """Columns of a contact in tables; ``sd`` is a standard deviation."""
 COLUMNS = ("recording", "group", "contact", *CONTACT_COLUMNS)
@@ -46,8 +46,10 @@ COLUMNS = ("recording", "group", "contact", *CONTACT_COLUMNS)
 USUAL_LENGTH = 2.5
 """Tube length in m, assumed where neither the sensor's file nor the recording states one."""
 SAME_AIR = 0.25
-"""Largest difference of air temperature in K up to which a forward model is reused, and untouched
-cycles are averaged."""
+"""Largest difference of air temperature in K up to which untouched cycles are averaged, and, with
+untouched cycles, a forward model is reused: the temperature is then estimated from the clutter."""
+EQUAL_AIR = 0.02
+"""The largest difference in K for a forward model without untouched cycles: 0.06 mm at 1.6 m."""
 BLOCK = 50
 """Least number of untouched cycles whose temperatures are averaged; a recording of fewer is one
 block. The thermometer's noise is negligible in the mean of so many."""
@@ -254,7 +256,7 @@ class RecordingInverter:
         """Return the inverter for a recording at an air temperature in degC, reused if known."""
         key = (data.sizes["time"], length := self.length(data) or USUAL_LENGTH, rangefinder)
         known = self._known.get(key)
-        if known is not None and abs(known[0] - air) < SAME_AIR:
+        if known is not None and abs(known[0] - air) < (SAME_AIR if self.untouched else EQUAL_AIR):
             return known[1]
         base = self._baseband(rangefinder, length, air, data.sizes["time"])
         check_band(self.tool_library, base, BAND_ADVICE)
@@ -345,8 +347,9 @@ def contact_cells(contact: Contact, misfit: float, library: Library) -> list[str
     values = [
         f"{scale * value:.6g}" for one, scale in estimates for value in (one.value, one.deviation)
     ]
-    diameter = MM * library.tools[contact.tool].diameter
-    return [f"{contact.probability:.4f}", *values, f"{diameter:g}", f"{misfit:.4g}"]
+    tool = library.tools[contact.tool]
+    diameter = f"{MM * tool.diameter:g}"
+    return [f"{contact.probability:.4f}", *values, diameter, f"{misfit:.4g}", tool.shape]
 
 
 def note_warnings(

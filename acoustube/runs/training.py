@@ -11,10 +11,13 @@ import xarray as xr
 
 from acoustube import estimation
 from acoustube.base.errors import ConfigError
+from acoustube.base.units import KHZ
 from acoustube.estimation import FeatureSettings
 from acoustube.estimation.features import LABELS
 from acoustube.estimation.model import TARGETS
 from acoustube.runs.recordings import read_cycles
+from acoustube.runs.twin_calibration import stated_processing
+from acoustube.signals import Processing
 
 DISPLAY_UNITS = {"true_distance": ("cm", 100.0), "depth": ("mm", 1e3), "force": ("N", 1.0)}
 """Units of the labels in tables, with the factors from SI."""
@@ -28,7 +31,7 @@ def table_of(
     paths: Sequence[Path],
     feature_settings: FeatureSettings,
     report: Callable[[str, float], None],
-    check: Callable[[Path, float], None] | None = None,
+    check: Callable[[Path, xr.Dataset], None] | None = None,
 ) -> xr.Dataset:
     """Return the feature table of the cycles of files, read one after another.
 
@@ -40,7 +43,7 @@ def table_of(
     report : callable
         Called with the name of the stage and the finished fraction of a file.
     check : callable, optional
-        Called with each file and its sampling rate in Hz.
+        Called with each file and its recording.
 
     Returns
     -------
@@ -55,7 +58,7 @@ def table_of(
     parts: list[xr.Dataset] = []
     for path, data in read_cycles(paths):
         if check is not None:
-            check(path, float(data.attrs["sampling_rate"]))
+            check(path, data)
         try:
             part = estimation.feature_table(
                 data, feature_settings, lambda share: report("echoes", share)
@@ -72,6 +75,31 @@ def table_of(
             "recordings of one rate"
         )
     return _joined(parts)
+
+
+def check_carrier(path: Path, recorded: xr.Dataset, how: Processing) -> None:
+    """Raise ConfigError if a recording states another carrier or band than it is processed for.
+
+    Parameters
+    ----------
+    path : Path
+        File of the recording, for messages.
+    recorded : xarray.Dataset
+    how : Processing
+        Settings of the processing.
+    """
+    stated = stated_processing(path, recorded)
+    if stated is None or (stated.frequency, stated.bandwidth) == (how.frequency, how.bandwidth):
+        return
+    own, other = (
+        f"{KHZ * one.frequency:g} kHz" + (f" +- {KHZ * half:g} kHz" if half else "")
+        for one in (stated, how)
+        for half in [(one.bandwidth or 0.0) / 2]
+    )
+    raise ConfigError(
+        f"{path} has a carrier of {own}, and the first recording is processed for {other}; use "
+        "recordings of one carrier"
+    )
 
 
 def _joined(parts: list[xr.Dataset]) -> xr.Dataset:

@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from acoustube import signals
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.documents import read_document
+from acoustube.base.foreign.results import settings_in
 from acoustube.base.units import CM, MM, PERCENT, US
 from acoustube.ranging import Burst, Chirp, Rangefinder, blockage, record
 from acoustube.ranging.analogue import oversampling, within
@@ -22,8 +24,9 @@ from acoustube.runs.sensor_file import (
     sensor_document,
     twin_settings,
 )
-from acoustube.runs.sweep.dataset import rangefinder_in
+from acoustube.runs.sweep.dataset import DRIVES, rangefinder_in
 from acoustube.signals import Calibration, Processing
+from acoustube.waves import Pulse
 
 FIRST, APART = 0.2, 0.05
 """Distance of the nearest simulated closure, and spacing of closures, in m (sleeve paper)."""
@@ -174,9 +177,44 @@ def processing_of(sensor: Path | None) -> Processing:
         raise ConfigError(f"{sensor}: {error}") from error
 
 
+def stated_processing(path: Path, recorded: xr.Dataset) -> Processing | None:
+    """Return the settings to process cycles with, for the drive that their recording states.
+
+    Parameters
+    ----------
+    path : Path
+        File of the recording, for messages.
+    recorded : xarray.Dataset
+        Recordings of :func:`acoustube.ranging.record` and datasets have the attribute
+        ``rangefinder``.
+
+    Returns
+    -------
+    Processing or None
+        None if no drive is stated, or one without a carrier.
+
+    Raises
+    ------
+    ConfigError
+        If the statement is damaged, or the drive has several tones.
+    """
+    if "rangefinder" not in recorded.attrs:
+        return None
+    words = settings_in(recorded.attrs["rangefinder"], path).get("drive", {})
+    try:
+        kind = (DRIVES | {"Pulse": Pulse}).get(words["kind"])
+        if kind is None:
+            return None
+        return _processing_for(kind(**{k: value for k, value in words.items() if k != "kind"}))
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+    except (AttributeError, KeyError, TypeError) as error:
+        raise ConfigError(f"{path}: its drive is damaged; record it again") from error
+
+
 def _processing_for(drive: Drive) -> Processing:
-    """Return the settings to process echoes of a burst or a chirp with."""
-    if not isinstance(drive, Burst | Chirp):
+    """Return the settings to process echoes of a burst, a pulse or a chirp with."""
+    if not isinstance(drive, Burst | Chirp | Pulse):
         raise ConfigError(
             "the compressed pulse of kind = 'Tones' has no single maximum, by which an echo would "
             "be located; use Chirp here, or acoustube invert"
@@ -185,4 +223,4 @@ def _processing_for(drive: Drive) -> Processing:
         frequency=drive.frequency, cutoff=min(LOW_PASS, drive.frequency / 2),
         pulse_cycles=drive.duration * drive.frequency,
     )  # fmt: skip
-    return own if isinstance(drive, Burst) else replace(own, bandwidth=drive.bandwidth)
+    return replace(own, bandwidth=drive.bandwidth) if isinstance(drive, Chirp) else own

@@ -139,7 +139,7 @@ def _material_parameters(found: FittedSensor) -> Iterator[Parameter]:
     yield Parameter(
         "hardness_shore_a", shore_from_shear_modulus(shear),
         modulus.deviation / modulus.value / decade, PRIOR_MODULUS / decade,
-        "Shore A hardness of such a modulus",
+        "Shore A hardness that corresponds to this modulus",
     )  # fmt: skip
     yield Parameter(
         "ground_compliance_mm_per_n", MM * compliance.value, MM * compliance.deviation,

@@ -151,19 +151,21 @@ def _received(
 
 
 class _Tube(NamedTuple):
-    """Tables, wavenumbers and ends of a straight or a wrapped tube.
+    """Tables, wavenumbers and ends of a straight or a wrapped tube, with m modes between contacts.
 
-    Attributes that are not listed are those of :class:`.Constants` and :class:`.Shape`.
+    `decay` and `turn` are as in :class:`.Constants`, `ends` and `places` as in :class:`.Shape`.
 
     Attributes
     ----------
+    tables : PressTables
     phase : callable
         Takes places in m, (n,); returns the complex phase in rad of the plane wave from the face to
         each place, (n, n_f).
     far : ndarray
         Reflection matrix of the far end, (n_f, m, m).
     entry : ndarray or None
-        Matrix of :class:`acoustube.inversion.paths.Entry`, (n_f, m, m_s); None for a straight tube.
+        Matrix of :class:`acoustube.inversion.paths.Entry`, (n_f, m, m_s), with the m_s modes of the
+        straight tube before the bend; None for a straight tube.
     untouched : ndarray
         Echo of the tube without contact or clutter, (n_f,).
     """

@@ -113,14 +113,14 @@ def probe_pressure(
     ------
     ValueError
         As :func:`transfer`; or if too much of the pulse's energy lies outside the band of the
-        presses or at frequency zero, the pulse lasts longer than the recording, the time step is
-        not positive, or the recording has too many samples.
+        presses, the pulse lasts longer than the recording, the time step is not positive, or the
+        recording has too many samples.
 
     Notes
     -----
     The spectra are those of the pressure times a decaying exponential, which is divided out again
     in the time domain, because a tube without losses rings for longer than any period of the
-    transform.
+    transform. Their frequencies are complex, so that the part at frequency zero propagates too.
     """
     if not time_step > 0:
         raise ValueError(f"time_step = {time_step} s must be positive")

@@ -49,7 +49,8 @@ INWARD_DIRECTION = (1, -1)
 NARROWEST_SOURCE_BAND = 20e3
 """Smallest bandwidth of the source pulse in Hz; the pulse then lasts 0.4 ms."""
 RINGDOWN_LEVEL = 1e-5
-"""Pressure, relative to the highest of the run, below which the run ends."""
+"""Highest pressure at the probes over the last steps, relative to the highest so far, below which
+the run ends."""
 RINGDOWN_CHECK_STEPS = 2000
 """Number of time steps between two checks of the ringdown."""
 

@@ -62,7 +62,7 @@ def of_presses() -> dict[str, Spec]:
             (w.lumen, {**one, "position": 0.2}),
             (w.pressed_part, one),
             (w.whole_tube, {"part": part, "position": 1.0, "length": 2.5}),
-            (w.measure, {**one, "z": np.linspace(0, 0.01, 4)}),
+            (w.measure, {**one, "z": np.linspace(0, 0.01, 4)}, True),  # nan beyond an end
             (w.inner_wall, {"mesh": press.mesh}),
         ],
     )

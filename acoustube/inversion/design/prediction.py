@@ -2,8 +2,8 @@
 
 The Cramer-Rao bound with nuisance parameters holds only near the true contact. Besides it, the
 probability of an error of whole half wavelengths is estimated, as for the ambiguity of a
-narrow-band pulse: the probability that a contact so far off, with the best nuisance parameters, has
-the larger likelihood.
+narrow-band pulse: the probability that a contact displaced by that much, with the nuisance
+parameters fitted to it, is likelier than the true one.
 
 References
 ----------

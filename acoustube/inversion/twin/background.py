@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from acoustube.base.checks import LENGTH, Optional, Several, checked
 from acoustube.base.types import Array
+from acoustube.inversion.folded import RING_DOWN_OVERSAMPLING
 from acoustube.inversion.twin.estimate import DITHERED, Twin
 from acoustube.inversion.twin.fit import SPEED
 from acoustube.inversion.twin.model import (
@@ -161,7 +162,7 @@ def ring_down(twin: Twin) -> Complex:
     band: Band = twin.band
     shared = dict(zip(SHARED, twin.point.shared.tolist(), strict=True))
     n = 2 * band.n_samples
-    oversampled = 4 if band.folded else 1
+    oversampled = RING_DOWN_OVERSAMPLING if band.folded else 1
     f = np.arange(1, oversampled * n // 2) * band.rate / n
     resonance, quality = (
         NOMINAL_FREQUENCY * exp(shared["log_resonance"]),

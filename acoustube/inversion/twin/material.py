@@ -108,13 +108,13 @@ def fit_material(presses: Sequence[Press]) -> Material:
 
     Notes
     -----
-    The shape of a Neo-Hookean wall between rigid bodies depends on the depth alone. The force is
-    proportional to the modulus: ``F = (E / E_0) F_0(d)``, with the force F_0 of the library. The
-    depth d is that of the echo, which does not depend on the modulus; without an echo it is the
-    stated one. The ground yields by ``c F``: stated depths are ``d_0 + d + c F``. Both are fitted
-    by linear least squares, averaged over the unknown scatter of the labels. Where no force is
-    stated, or it is left out, F is that of the modulus and of the depth of the echo, and the
-    compliance has the relative error of the modulus.
+    The shape of a Neo-Hookean wall between rigid bodies depends on the depth d alone. The force is
+    ``F = (E / E_0) F_0(d)``, with modulus E_0 and force F_0 of the library. The ground yields by
+    ``c F``, so that the stated depth is ``d_0 + d + c F``, with that of first contact d_0. The
+    depth d is that of the echo, which does not depend on the modulus; without an echo it follows
+    from the stated depth. E, and then c and d_0, are fitted by linear least squares, averaged over
+    the unknown scatter of the labels. For presses whose force is missing or left out, the fit of c
+    takes F from E and d, and the error of E adds to that of c.
     """
     moduli = np.unique([one.tool.young_modulus for one in presses])
     if len(moduli) > 1:

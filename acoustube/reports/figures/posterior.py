@@ -71,7 +71,7 @@ def _draw_echo(
         axes.axvline(CM * contact.distance.value, color=RETURN, lw=0.8)
     axes.set_xlim(0.0, CM * end.model.base.length)
     face = "near face" if of_end else "face"
-    axes.set_xlabel(f"distance from the {face}, from the delay (cm)")
+    axes.set_xlabel(f"distance from the {face}, by the delay (cm)")
     axes.set_ylabel("echo without clutter (counts)")
     words = f"{counted(len(end.contacts), 'contact')}, misfit {end.misfit:.3g}"
     axes.set_title((words if end.contacts else "no contact") + of_end, fontsize=10)

@@ -27,9 +27,9 @@ UNTOUCHED = 400
 BAND = np.array([10e3, 90e3])
 """Frequencies in Hz between which the scattering of a closure is defined."""
 FALSE_ALARMS = 0.01
-"""Fraction below which the untouched cycles with a false echo must be. The least prominence of an
-echo is the smallest of `FACTORS` with which they are. The sleeve paper chose its factor by hand, to
-minimise false-positive detections."""
+"""Bound on the fraction of untouched cycles with a false echo. The least prominence of an echo is
+the smallest of `FACTORS` for which the fraction is below it. The sleeve paper chose its factor by
+hand, to minimise false-positive detections."""
 FACTORS = (2.8, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0)
 """Least prominences that are tried, in standard deviations of untouched cycles."""
 
@@ -60,9 +60,9 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:  # noqa: ARG001
             "echoes overlap the ringing send pulse."),
         Row(quantity="least prominence in standard deviations", unit="1", published=2.8,
             ours=factor,
-            why=f"The least of a few factors with which under {100 * FALSE_ALARMS:g} % of the "
-            "untouched cycles show an "
-            "echo; the sleeve paper tuned its own by hand, on its sensor, to the same end."),
+            why=f"The smallest of the factors tried for which under {100 * FALSE_ALARMS:g} % of "
+            "the untouched cycles show an echo; the sleeve paper chose its factor by hand, on its "
+            "sensor."),
         Row(quantity="untouched cycles in which an echo is found", unit="%",
             ours=100 * found.false_alarms, why="Not published."),
     ]  # fmt: skip

@@ -234,7 +234,7 @@ def _pair_rows(pairs: Sequence[xr.Dataset]) -> list[Row]:
             Row(
                 quantity=f"two presses {CM * gap:g} cm apart: error of the {which}",
                 unit="cm", ours=CM * offset,
-                why="Published as 1 to 4 cm too far, by hand. A closed lumen reflects at its "
+                why="Published: 1 to 4 cm too far, pressed by hand. A closed lumen reflects at its "
                 "place; next to a rod that nearly closes it sound is trapped, and returns late.",
             )
             for which, offset in zip(("nearer", "farther"), offsets, strict=True)

@@ -39,11 +39,11 @@ CYCLES = (14, 13, 13)
 SHIFT = -0.10
 """Offset in m of the positions on the second tube from those on the first."""
 ARM = {"layer_mm": 20.0, "layer_mpa": 0.06}
-"""Layer of soft tissue: 20 mm of 60 kPa; see :func:`ground`."""
+"""Layer of soft tissue: 20 mm with a Young's modulus of 60 kPa; see :func:`ground`."""
 SOFTER = {"layer_mm": 20.0, "layer_mpa": 0.03}
-LIBRARY = "0.5:13:0.5"
+LIBRARY = "0.5:14:0.5"
 """Depths in mm of the library of the inversion."""
-GRID = tuple(np.arange(0.5, 13.01, 0.5) / MM)
+GRID = tuple(np.arange(0.5, 15.01, 0.5) / MM)
 """Depths in m of the load path on which a press is interpolated by force."""
 RIGID_GRID = tuple(np.arange(0.5, 8.01, 0.5) / MM)
 """Depths in m of that load path on a rigid arm."""

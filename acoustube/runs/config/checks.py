@@ -17,7 +17,7 @@ CELLS_PER_WAVELENGTH = 8
 BAND_WIDTH = 3.83
 """Half width of a pulse's band at -70 dB, as a fraction of the carrier, times the cycles."""
 MOST_CELLS = 50_000_000
-"""Largest number of grid cells of the sound; so many take some 15 GB of memory."""
+"""Largest number of cells of the acoustic grid; these take some 15 GB of memory."""
 
 
 def check_touched(press: IndentationSettings) -> None:
@@ -81,6 +81,40 @@ def check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
         reason, setting="depth_mm", value=depth, allowed=(SHALLOWEST_MM, deepest),
         advice=f"use at most {deepest:g}",
     )  # fmt: skip
+
+
+def check_offset(tube: TubeSettings, press: IndentationSettings) -> None:
+    """Raise if an indenter misses a round tube on its path down, or reaches the floor next to it.
+
+    Notes
+    -----
+    A section of the indenter is flat up to ``flat`` from its axis, and then round with the radius
+    ``edge``. At first touch the centre of this rounding is ``outer + edge`` from the tube's axis.
+    """
+    if press.offset_mm == 0 or press.depth_mm == 0:
+        return
+    from acoustube.indentation.indenters import PUNCH_EDGE  # which loads the finite elements
+
+    outer, radius = tube.outer_diameter_mm / 2, press.indenter_mm / 2
+    edge = radius if press.shape == "sphere" else PUNCH_EDGE * radius
+    flat = radius - edge
+    most = flat + (outer + edge if edge < outer else 2 * math.sqrt(outer * edge))
+    if abs(press.offset_mm) >= most:
+        bound = (math.ceil(100 * most) - 1) / 100
+        raise ConfigError(
+            f"is so large that the {press.indenter_mm:g} mm {press.shape} misses the tube",
+            setting="offset_mm", value=press.offset_mm, allowed=(-bound, bound),
+            advice=f"use at most {bound:g} or a larger indenter",
+        )  # fmt: skip
+    beside = max(abs(press.offset_mm) - flat, 0.0)
+    lowest = math.sqrt((outer + edge) ** 2 - beside**2) - edge
+    room = outer + lowest + (press.layer_mm or 0.0)
+    if press.depth_mm >= room:
+        raise ConfigError(
+            f"pushes the {press.shape}, {press.offset_mm:g} mm beside the axis, into the floor, "
+            f"which is {room:.3g} mm below first touch",
+            setting="depth_mm", value=press.depth_mm, advice="reduce the depth or offset_mm",
+        )  # fmt: skip
 
 
 def check_position(

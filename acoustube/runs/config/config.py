@@ -10,6 +10,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.runs.config.checks import (
     check_depth,
     check_lowpass,
+    check_offset,
     check_position,
     check_press,
     check_probe,
@@ -40,7 +41,8 @@ class Mechanics:
     ------
     ConfigError
         If a section is not of its class, settings of the press contradict each other, the depth is
-        0 or outside the model's range, or an imported wall has another mesh than ``usual``.
+        0 or outside the model's range, the indenter misses the tube, or an imported wall has
+        another mesh than ``usual``.
     """
 
     tube: TubeSettings = dataclasses.field(default_factory=TubeSettings)
@@ -52,6 +54,7 @@ class Mechanics:
         check_touched(self.indentation)
         if self.tube.surface is None:
             check_depth(self.tube, self.indentation)
+            check_offset(self.tube, self.indentation)
         elif self.indentation.mesh != "usual":  # its sizes are known when the surface is read
             raise ConfigError(
                 f"applies to round tubes, not to surface = {self.tube.surface}",
@@ -72,8 +75,9 @@ class Config:
     ------
     ConfigError
         If a section is not of its class, or the sections contradict each other: an imported wall,
-        a depth outside the model's range, a press too near an end, a grid that is too coarse for
-        the sound or too large, a pulse longer than the round trip, or an unsuitable low-pass.
+        a depth outside the model's range, an indenter that misses the tube, a press too near an
+        end, a grid that is too coarse for the sound or too large, a pulse longer than the round
+        trip, or an unsuitable low-pass.
 
     Notes
     -----
@@ -92,6 +96,7 @@ class Config:
         self._fill("indentation", "position_cm", self.position_cm)
         self._fill("signals", "lowpass_khz", self.lowpass_khz)
         check_depth(self.tube, self.indentation)
+        check_offset(self.tube, self.indentation)
         indenter = self.indentation.indenter_mm
         check_position(self.tube, indenter, self.position_cm, self.waves)
         check_resolution(self.tube, indenter, self.waves)

@@ -286,7 +286,7 @@ class DesignGoal:
             raise ConfigError(
                 f"makes {count} rangefinders with the other lists", setting=longest,
                 value=list(lists[longest])[:4],
-                advice=f"shorten it; {MOST_RANGEFINDERS} combinations are allowed",
+                advice=f"shorten it; at most {MOST_RANGEFINDERS} combinations are allowed",
             )  # fmt: skip
 
 

@@ -43,7 +43,7 @@ class TubeSettings(Section):
 
     def __post_init__(self) -> None:
         if self.shore_a is None and self.shear_modulus_mpa is None:
-            object.__setattr__(self, "shore_a", self.hardness_shore_a)
+            object.__setattr__(self, "shore_a", DEFAULT_SHORE_A)
         super().__post_init__()
         if self.shore_a is not None and self.shear_modulus_mpa is not None:
             raise ConfigError(
@@ -56,11 +56,6 @@ class TubeSettings(Section):
     def outer_diameter_mm(self) -> float:
         """Outer diameter in mm."""
         return self.inner_diameter_mm + 2 * self.wall_mm
-
-    @property
-    def hardness_shore_a(self) -> float:
-        """Shore A hardness of the wall; without effect where a shear modulus is given."""
-        return DEFAULT_SHORE_A if self.shore_a is None else self.shore_a
 
 
 class _Depth(Number):

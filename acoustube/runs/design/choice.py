@@ -1,4 +1,4 @@
-"""Recommended sensors of a design, their errors over the tube, limits and robustness."""
+"""Recommended sensors of a design: their errors over the tube, by cause, and robustness."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def sensor_toml(design: DesignGoal, candidate: Candidate) -> str:
     document.add(tomlkit.comment("The rangefinder of a designed sensor, for --sensor"))
     rangefinder = candidate.rangefinder
     if candidate.ends == 2:
-        words = "The sensor has a second one of its kind at the far end: acoustube invert --far"
+        words = "A second, equal rangefinder is at the far end: acoustube invert --far"
         document.add(tomlkit.comment(words))
         rangefinder = replace(rangefinder, far_reflection=abs(rangefinder.face_reflection))
     if isinstance(candidate.rangefinder.drive, Chirp):

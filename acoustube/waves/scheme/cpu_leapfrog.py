@@ -16,7 +16,6 @@ from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from numba import get_num_threads
 from numpy.typing import ArrayLike, NDArray
@@ -35,7 +34,7 @@ from acoustube.waves.scheme.cpu_layout import (
     Stencil,
 )
 from acoustube.waves.scheme.losses import Losses, RelaxationState
-from acoustube.waves.scheme.operator import INTERIOR, Operator
+from acoustube.waves.scheme.operator import INTERIOR, Operator, on_device
 from acoustube.waves.scheme.pml import Absorber
 from acoustube.waves.scheme.problem import Scheme, Setup, State
 
@@ -137,8 +136,8 @@ class CompiledMarcher:
         """
         _, _, lossy, fields, before, behind, _ = self._problem
         return State(
-            pressure=jnp.array(_pressure(lossy, fields, self._now)),
-            change=jnp.array(fields.change),
+            pressure=on_device(_pressure(lossy, fields, self._now)),
+            change=on_device(fields.change),
             before=_absorber(self._state.before, before),
             behind=_absorber(self._state.behind, behind),
             memory=_memory(self._state.memory, self._losses, fields, self._now),
@@ -364,8 +363,8 @@ def _memory(
     if memory is None or losses is None:
         return memory
     place = np.argsort(_air_first(losses)[0])
-    relaxed = tuple(jnp.array(fields.relaxed[:, :, i]) for i in place)
-    return RelaxationState(relaxed, jnp.array(fields.integral[now]), jnp.array(fields.increment))
+    relaxed = tuple(on_device(fields.relaxed[:, :, i]) for i in place)
+    return RelaxationState(relaxed, on_device(fields.integral[now]), on_device(fields.increment))
 
 
 def _layer(layer: Absorber | None, dtype: Any) -> AbsorberColumns:
@@ -381,7 +380,7 @@ def _absorber(before: Absorber | None, layer: AbsorberColumns) -> Absorber | Non
     """Return an absorber with its advanced state."""
     if before is None:
         return None
-    return Absorber(before.cells, before.faces, *(jnp.array(part) for part in layer[2:]))
+    return Absorber(before.cells, before.faces, *(on_device(part) for part in layer[2:]))
 
 
 def _source_and_probes(

@@ -301,7 +301,7 @@ def _absorber_step(
 def _window(
     pressure: jax.Array, operator: Operator, first: int, n_layers: int
 ) -> tuple[jax.Array, Operator]:
-    """Return the pressure in and around several layers, and the coefficients of these layers."""
+    """Return the pressure of some layers and two on each side, and the layers' coefficients."""
     cells = slice(first, first + n_layers)
     local = Operator(
         inverse_volume=operator.inverse_volume[:, :, cells],

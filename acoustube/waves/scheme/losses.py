@@ -10,9 +10,12 @@ capacities and s = d/dt. To first order in the layer's thickness [2]_,
 
 Without the velocities, and with y = s^(-1/2) p,
 
-    s^2 p + (gamma - 1) S sqrt(nu_t) s^2 y = c^2 div grad p - c^2 div (S sqrt(nu) grad_t y),
+    s^2 p + (gamma - 1) S sqrt(nu_t) s^2 y = c^2 div grad p - c^2 div (S sqrt(nu) grad y).
 
-where grad_t is the gradient along the wall.
+The drag acts along the wall. It is applied to the whole gradient, because the part normal to the
+wall is small near it, of the order of the distance. Its projection direction by direction of the
+grid, without the products of different directions, would leave out a part of the gradient along
+walls that are inclined to the grid.
 
 `half_integral` approximates s^(-1/2) over a band by first-order relaxations with positive weights,
 a passive model of the fractional derivative [3]_. The scheme advances each by the trapezoidal rule.
@@ -33,8 +36,7 @@ S must not be too concentrated in other places, either. The wetted area of a wal
 may be arbitrarily small, is therefore not assigned to that cell alone but spread over `WALL_SPREAD`
 by diffusion, which conserves its total and makes the result independent of the grid. It is spread
 farther for bands of low frequencies, whose boundary layers are thicker: S sqrt(nu) at a flat wall
-would otherwise exceed the limit. The tangential parts are spread with it: for each direction of a
-face, the area times one minus the square of the normal's component.
+would otherwise exceed the limit.
 
 The absorption of the air adds two terms to the pressure whose Laplacian is taken: one proportional
 to the pressure's rate of change (classical absorption), and terms that lag behind the pressure (the
@@ -195,7 +197,7 @@ def losses(
     most = LARGEST_DRAG / float(np.sum(wall.weights / wall.rates))
     wetted = wetted_area(cells, exact, _spread(most, air)) * weight
     drag = _drag(operator, wetted * sqrt(air.viscous_diffusivity), most, dtype)
-    compliance = (air.heat_capacity_ratio - 1) * sqrt(air.thermal_diffusivity) * wetted.sum(axis=0)
+    compliance = (air.heat_capacity_ratio - 1) * sqrt(air.thermal_diffusivity) * wetted
     # The classical absorption A f^2 corresponds to a diffusivity of the pressure A c^3 / (2 pi^2).
     diffusivity = air.classical_absorption * air.sound_speed**3 / (2 * pi**2)
     response = float(gain @ weights)
@@ -239,8 +241,7 @@ def wetted_area(cells: CutCells, exact: CutCells, spread: float = WALL_SPREAD) -
     Returns
     -------
     ndarray
-        The wetted area per volume times the squares of the components of its normal,
-        (3, nx, ny, nz), in 1/m; the sum over the components is the wetted area per volume.
+        Wetted area per volume in 1/m, (nx, ny, nz).
 
     Notes
     -----
@@ -262,21 +263,18 @@ def wetted_area(cells: CutCells, exact: CutCells, spread: float = WALL_SPREAD) -
         vector[0, 0] = 0.0
     area = np.linalg.norm(vector, axis=0)
     volume = cells.volume_fraction * dx * dy * dz
-    density = np.divide(1.0, area * volume, out=np.zeros_like(area), where=area * volume > 0)
+    density = np.divide(area, volume, out=np.zeros_like(area), where=volume > 0)
     operator = assemble(cells, Air(sound_speed=1.0, density=1.0), 0.0)
     n_steps = int(np.ceil(spread**2 / 2 * largest_eigenvalue(operator)))
     rate = on_device(spread**2 / (2 * n_steps), np.float32)
-    diffused = [
-        _diffused(on_device(component, np.float32), operator, rate, n_steps)
-        for component in vector**2 * density
-    ]
+    diffused = _diffused(on_device(density, np.float32), operator, rate, n_steps)
     return _near_the_wall(np.asarray(diffused, float), cells.volume_fraction, spread)
 
 
 def _near_the_wall(wetted: Array, volume: Array, spread: float) -> Array:
     """Return the wetted area truncated below `WALL_THRESHOLD`, rescaled to the same total."""
     at_flat_wall = sqrt(2 / pi) / spread
-    near = wetted * (wetted.sum(axis=0) > WALL_THRESHOLD * at_flat_wall)
+    near = wetted * (wetted > WALL_THRESHOLD * at_flat_wall)
     total, kept = (float(np.sum(area * volume)) for area in (wetted, near))
     return near * (total / kept) if kept > 0 else wetted
 
@@ -292,22 +290,29 @@ def _diffused(density: jax.Array, operator: Operator, rate: jax.Array, n_steps: 
 
 
 def _drag(operator: Operator, wetted: Array, most: float, dtype: DTypeLike) -> Operator:
-    """Return an operator whose faces are weighted with the tangential wetted area up to a limit.
+    """Return an operator whose faces are weighted with the wetted area up to a limit.
 
     The weight of a face is the mean of those of two cells, and is therefore within the limit. So is
     the axial correction, whose areas are the smaller of two weighted ones. The drag is therefore
     passive (see the module's docstring).
     """
-    x, y, z = np.minimum(wetted.sum(axis=0) - wetted, most)
-    x, y = np.pad(x, ((1, 1), (0, 0), (0, 0)), "edge"), np.pad(y, ((0, 0), (1, 1), (0, 0)), "edge")
-    z = np.pad(z, ((0, 0), (0, 0), (2, 2)), "edge")
-    at_faces = ((x[1:] + x[:-1]) / 2, (y[:, 1:] + y[:, :-1]) / 2, (z[:, :, 1:] + z[:, :, :-1]) / 2)
-    areas = (operator.area_x, operator.area_y, operator.area_z)
-    x, y, z = (
-        on_device(np.asarray(area) * weight.astype(dtype), dtype)
-        for area, weight in zip(areas, at_faces, strict=True)
+    limited = np.minimum(wetted, most)
+
+    def weighted(area: jax.Array, axis: int, padding: int) -> jax.Array:
+        cells = np.moveaxis(np.pad(limited, _along(axis, padding), "edge"), axis, 0)
+        at_faces = np.moveaxis((cells[1:] + cells[:-1]) / 2, 0, axis)
+        return on_device(np.asarray(area) * at_faces.astype(dtype), dtype)
+
+    return operator._replace(
+        area_x=weighted(operator.area_x, 0, 1),
+        area_y=weighted(operator.area_y, 1, 1),
+        area_z=weighted(operator.area_z, 2, 2),
     )
-    return operator._replace(area_x=x, area_y=y, area_z=z)
+
+
+def _along(axis: int, padding: int) -> list[tuple[int, int]]:
+    """Return the widths of a padding along one of three axes."""
+    return [(padding, padding) if i == axis else (0, 0) for i in range(3)]
 
 
 def lossy_change(

@@ -130,10 +130,12 @@ def _closed_outside(faces: jax.Array, axis: int) -> jax.Array:
     return faces * np.expand_dims(inner, [other for other in range(3) if other != axis])
 
 
-def on_device(values: ArrayLike, dtype: DTypeLike) -> jax.Array:
-    """Return values as a JAX array; others than JAX's are converted by NumPy, uncompiled."""
-    known = isinstance(values, jax.Array)
-    return jnp.asarray(values, dtype) if known else jnp.asarray(np.asarray(values, dtype))
+def on_device(values: ArrayLike, dtype: DTypeLike | None = None) -> jax.Array:
+    """Return values as a JAX array; others than JAX's are copied by NumPy, uncompiled."""
+    if isinstance(values, jax.Array):
+        return jnp.asarray(values, dtype)
+    # jnp.asarray compiles a program for each shape; JAX may keep the memory of what it is put.
+    return jax.device_put(np.array(values, dtype))
 
 
 def with_halo(field: jax.Array) -> jax.Array:
@@ -143,7 +145,7 @@ def with_halo(field: jax.Array) -> jax.Array:
 
 def silent(shape: tuple[int, ...], dtype: DTypeLike) -> jax.Array:
     """Return a field of zeros."""
-    return jnp.asarray(np.zeros(shape, dtype))
+    return jax.device_put(np.zeros(shape, dtype))
 
 
 def silent_with_halo(shape: tuple[int, ...], dtype: DTypeLike) -> jax.Array:

@@ -212,7 +212,7 @@ def _scheme(
     if released:  # the prescribed pressure does not depend on its neighbours
         others = np.arange(cells.shape[2]) != source_layer
         inverse = np.asarray(operator.inverse_volume) * others.astype(dtype)
-        operator = operator._replace(inverse_volume=jnp.asarray(inverse))
+        operator = operator._replace(inverse_volume=on_device(inverse, dtype))
     volume = cells.volume_fraction
     driven = (volume[:, :, source_layer] > 0.0) & (source_end != "rigid")
     weights = volume[:, :, probe_layers]

@@ -20,6 +20,7 @@ from acoustube.waves.scheme.operator import (
     assemble,
     dispersion_coefficient,
     laplacian,
+    on_device,
     with_halo,
 )
 
@@ -124,8 +125,9 @@ def largest_eigenvalue(operator: Operator) -> float:
     norm = np.sqrt(np.sum(volume * start**2))
     if not norm > 0.0:
         raise ValueError("the grid has no open cell; check the lumen and the spacing")
-    volume, current, previous, coupling = map(
-        jnp.asarray, (volume, start / norm, np.zeros_like(volume), np.zeros_like(norm))
+    volume, current, previous, coupling = (
+        on_device(part, volume.dtype)
+        for part in (volume, start / norm, np.zeros_like(volume), np.zeros_like(norm))
     )
     diagonal, off_diagonal = [], []
     for _ in range(ITERATIONS):
@@ -135,7 +137,7 @@ def largest_eigenvalue(operator: Operator) -> float:
         if off_diagonal[-1] <= 1e-6 * abs(diagonal[0]):  # an invariant subspace: exact
             break
     ritz = eigh_tridiagonal(np.array(diagonal), np.array(off_diagonal[:-1]), eigvals_only=True)
-    return min(float(ritz[-1]), float(_gershgorin(operator)))
+    return min(float(ritz[-1]), _gershgorin(operator))
 
 
 @jax.jit
@@ -154,17 +156,17 @@ def _lanczos(
     return current, image / jnp.maximum(following, 1e-30), level, following
 
 
-@jax.jit
-def _gershgorin(operator: Operator) -> jax.Array:
+def _gershgorin(operator: Operator) -> float:
     """Return Gershgorin's bound of the eigenvalues: twice the open faces over the volume.
 
     The axial correction beta D2' N D2 (see `operator`) is at most 4 beta A, because N never exceeds
     A.
     """
-    x, y, z = operator.area_x, operator.area_y, operator.area_z[:, :, 1:-1]
-    axial = (1.0 + 4.0 * operator.beta) * (z[:, :, 1:] + z[:, :, :-1])
+    inverse, x, y, z, beta = map(np.asarray, operator)  # compiled, it would be for one shape only
+    z = z[:, :, 1:-1]
+    axial = (1.0 + 4.0 * beta) * (z[:, :, 1:] + z[:, :, :-1])
     faces = x[1:] + x[:-1] + y[:, 1:] + y[:, :-1] + axial
-    return 2.0 * jnp.max(operator.inverse_volume * faces)
+    return float(2.0 * np.max(inverse * faces))
 
 
 def _checkerboard(shape: tuple[int, ...]) -> Array:

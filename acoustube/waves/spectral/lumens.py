@@ -12,8 +12,8 @@ from acoustube.base.errors import ConfigError
 from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.walls import Wall
 
-SAME = 1e-9
-"""Distance in m up to which rings, or mirror images, count as equal."""
+CENTRED = 1e-9
+"""Largest distance in m of a ring's centre from the axis that counts as rounding."""
 ROUND = 1e-3
 """Largest deviation from a circle, relative to its radius, of an end that counts as round."""
 NEWTON_STEPS = 30
@@ -36,6 +36,10 @@ class Rings(Protocol):
         Coordinate z in m that becomes the origin.
     symmetric : bool
         True if symmetric about x = 0.
+    same : float
+        Distance in m up to which rings, or mirror images, count as equal.
+    sealing_gap : float
+        Height in m of a gap that is half sealed in a computation with losses; 0 to seal none.
     """
 
     @property
@@ -47,6 +51,12 @@ class Rings(Protocol):
     @property
     def symmetric(self) -> bool: ...  # noqa: D102
 
+    @property
+    def same(self) -> float: ...  # noqa: D102
+
+    @property
+    def sealing_gap(self) -> float: ...  # noqa: D102
+
 
 def wall_of(lumen: Rings) -> Wall:
     """Return the wall of a lumen, smooth between its rings.
@@ -54,10 +64,7 @@ def wall_of(lumen: Rings) -> Wall:
     Parameters
     ----------
     lumen : Rings
-        Whose first two and last two rings are equal, as those of a tube beyond a press. Its
-        attribute `same`, where it exists, is the distance in m up to which rings, or mirror images,
-        count as equal. Its attribute `sealing_gap`, where it exists, is the height in m of a gap
-        that is half sealed in a computation with losses.
+        Whose first two and last two rings are equal, as those of a tube beyond a press.
 
     Returns
     -------
@@ -75,9 +82,8 @@ def wall_of(lumen: Rings) -> Wall:
     over the mean z of the rings, and straight from there to the last ring of the straight part on
     each side. Round ends are moved to x = y = 0.
     """
-    same = getattr(lumen, "same", SAME)
     rings = lumen.rings - [0.0, 0.0, lumen.position]
-    changed = np.abs(rings[..., :2] - rings[:1, :, :2]).max(axis=(1, 2)) > same
+    changed = np.abs(rings[..., :2] - rings[:1, :, :2]).max(axis=(1, 2)) > lumen.same
     if not changed.any():
         raise ConfigError(
             "the lumen is straight all along and scatters nothing; press it, or use the modes of a "
@@ -100,16 +106,16 @@ def wall_of(lumen: Rings) -> Wall:
         radius=_effective_radius(rings[0]) if radius is None else radius,
         breaks=(float(heights[first].min()), float(heights[last].max())),
         symmetric=lumen.symmetric,
-        reversible=bool(mirrored.max() < same),
+        reversible=bool(mirrored.max() < lumen.same),
         circular=radius is not None,
-        sealing_gap=getattr(lumen, "sealing_gap", 0.0),
+        sealing_gap=lumen.sealing_gap,
     )
 
 
 def _circle(ring: Array) -> tuple[float | None, Array]:
     """Return radius and centre of a ring; the radius is None if the ring is not round."""
     centre = ring[:, :2].mean(axis=0)
-    if np.abs(centre).max() < SAME:
+    if np.abs(centre).max() < CENTRED:
         centre = np.zeros(2)
     distance = np.hypot(*(ring[:, :2] - centre).T)
     radius = float(distance.mean())

@@ -48,12 +48,15 @@ class SurfaceRings:
         True if symmetric about x = 0.
     same : float
         Distance in m up to which rings, or mirror images, count as equal.
+    sealing_gap : float
+        Height in m of gaps that are half sealed; by default 0, and no gap is sealed.
     """
 
     rings: Array
     position: float
     symmetric: bool
     same: float
+    sealing_gap: float = 0.0
 
 
 def rings_of_surface(surface: trimesh.Trimesh, position: float = 0.0) -> SurfaceRings:

@@ -113,11 +113,11 @@ def _gauss_points(n: int, degree: int) -> int:
 
     Notes
     -----
-    The error of Gauss's rule with g points is (k h)^2g (g!)^4 / ((2g + 1) (2g)!^3) on a piece of
-    length h, for a wavenumber k, here twice the degree. It has to be small compared with the least
-    eigenvalue of the Gram matrix of Legendre polynomials over a disc, because the matrix would
-    otherwise not be positive definite. This eigenvalue is 3e-6 at degree 10, and 30 times smaller
-    with each two degrees more.
+    The relative error of Gauss's rule with g points is (k h)^(2g) (g!)^4 / ((2g + 1) (2g)!^3) on a
+    piece h = 2 pi / n of the contour's parameter, for a wavenumber k in this parameter, here twice
+    the degree. It has to be small compared with the least eigenvalue of the Gram matrix of Legendre
+    polynomials over a disc, because the matrix would otherwise not be positive definite. This
+    eigenvalue is 3e-6 at degree 10, and 30 times smaller for every two degrees more.
     """
     step = 4 * np.pi * degree / n
     allowed = 1e-2 * 3e-6 * 30.0 ** ((10 - degree) / 2)

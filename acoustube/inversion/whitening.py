@@ -1,0 +1,299 @@
+"""Whitening of a cycle's baseband: linear maps that make its errors independent of equal size."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import ztrtri
+
+from acoustube.base.types import Array
+from acoustube.waves.scattering import Complex
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Weights(ABC):
+    """Whitening of the baseband by a lower triangular matrix W.
+
+    The precision matrix ``W^H W`` is the inverse of the covariance of the first n samples times the
+    baseband's `freedom`. A whitened sample depends only on the samples up to its own time. The
+    first rows of W are therefore the weights of the first samples, and an echo does not show in
+    whitened samples before it.
+
+    Attributes
+    ----------
+    log_determinant : float
+        Logarithm of the determinant of the covariance of all samples, times `freedom`.
+    spread : float
+        Error of the model at all times, relative to the highest echo.
+    """
+
+    log_determinant: float
+    spread: float = 0.0
+
+    @abstractmethod
+    def __call__(self, samples: Complex) -> Complex:
+        """Return whitened samples (..., n) of samples (..., n_time)."""
+
+    @abstractmethod
+    def in_single_precision(self, samples: Complex) -> Complex:
+        """Return samples whitened in single precision, which is enough for derivatives."""
+
+    @abstractmethod
+    def adjoint(self, white: Complex) -> Complex:
+        """Return ``W^H`` times whitened samples (..., n)."""
+
+    @abstractmethod
+    def until(self, n: int) -> Weights:
+        """Return the weights of the first n samples alone; `log_determinant` is kept."""
+
+    @abstractmethod
+    def energies(self, samples: Complex, start: int) -> Array:
+        """Return the squared norms, whitened, of consecutive samples in single precision.
+
+        Parameters
+        ----------
+        samples : ndarray
+            (..., k). All other samples are zero.
+        start : int
+            Index of the first of them.
+        """
+
+    @property
+    @abstractmethod
+    def sample_precision(self) -> Array:
+        """Diagonal of the precision matrix, (n,)."""
+
+    @property
+    @abstractmethod
+    def n_samples(self) -> int:
+        """Number n of samples."""
+
+    def weighted(self, samples: Complex) -> Complex:
+        """Return the precision matrix times the first n of samples (..., n_time)."""
+        return self.adjoint(self(samples))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RankOneWeights(Weights):
+    """Whitening of independent errors and an error of known shape.
+
+    The covariance is ``D (I + u u^H) D``, with the standard deviations D of the independent errors.
+    With ``s_k = 1 + sum_(i <= k) |u_i|^2`` and samples ``a = D^-1 x``, a whitened sample is
+
+        ``w_k = sqrt(s_(k-1) / s_k) (a_k - u_k / s_(k-1) sum_(i < k) conj(u_i) a_i)``,
+
+    the innovation of a recursive estimate of the error's amplitude.
+
+    Attributes
+    ----------
+    scale : ndarray
+        Root of the baseband's `freedom` over D, (n,).
+    shape : ndarray or None
+        The vector u, (n,); None for zero.
+    """
+
+    scale: Array
+    shape: Complex | None
+
+    @staticmethod
+    def of(variance: Array, shape: Complex | None, freedom: float, spread: float) -> RankOneWeights:
+        """Return the weights for variances of the independent errors, and the other error.
+
+        Parameters
+        ----------
+        variance, shape : ndarray
+            Variances of the independent errors, and a standard deviation of the error of known
+            shape, (n_time,).
+        freedom, spread : float
+            See :class:`Weights`.
+        """
+        scale = variance**-0.5
+        logarithm = float(np.sum(np.log(variance)))
+        if shape is not None:
+            shape = shape * scale
+            logarithm += float(np.log1p(np.vdot(shape, shape).real))
+        return RankOneWeights(
+            scale=np.sqrt(freedom) * scale, shape=shape, log_determinant=freedom * logarithm,
+            spread=spread,
+        )  # fmt: skip
+
+    def __call__(self, samples: Complex) -> Complex:
+        """Return whitened samples (..., n) of samples (..., n_time)."""
+        scaled = samples[..., : len(self.scale)] * self.scale
+        if self.shape is None:
+            return scaled
+        return _innovations(scaled, self.shape, *self._recursion)
+
+    def in_single_precision(self, samples: Complex) -> Complex:
+        """Return samples whitened in single precision, which is enough for derivatives."""
+        given = samples[..., : len(self.scale)].astype(np.complex64, copy=False)
+        scaled = given * self._single_scale
+        if self._single_shape is None:
+            return scaled
+        before, gain = (np.asarray(part, np.float32) for part in self._recursion)
+        return _innovations(scaled, self._single_shape, before, gain)
+
+    def adjoint(self, white: Complex) -> Complex:
+        """Return ``W^H`` times whitened samples (..., n)."""
+        if self.shape is None:
+            return white * self.scale
+        before, gain = self._recursion
+        given = white * gain
+        along = given * (self.shape.conj() / before)
+        later = np.cumsum(along[..., ::-1], axis=-1)[..., ::-1] - along
+        return np.asarray((given - self.shape * later) * self.scale)
+
+    def until(self, n: int) -> RankOneWeights:
+        """Return the weights of the first n samples alone; `log_determinant` is kept."""
+        shape = None if self.shape is None else self.shape[:n]
+        return replace(self, scale=self.scale[:n], shape=shape)
+
+    def energies(self, samples: Complex, start: int) -> Array:
+        """Return the squared norms, whitened, of consecutive samples in single precision."""
+        part = slice(start, start + samples.shape[-1])
+        scaled = samples * self._single_scale[part]
+        found = np.einsum("...i,...i->...", scaled.real, scaled.real)
+        found += np.einsum("...i,...i->...", scaled.imag, scaled.imag)
+        if self._single_shape is not None:
+            found -= self._absorbed * np.abs(scaled @ self._single_shape[part].conj()) ** 2
+        return np.asarray(found)
+
+    @property
+    def sample_precision(self) -> Array:
+        """Diagonal of the precision matrix, (n,)."""
+        power = 0.0 if self.shape is None else np.abs(self.shape) ** 2
+        return np.asarray(self.scale**2 * (1 - self._absorbed * power))
+
+    @property
+    def n_samples(self) -> int:
+        """Number n of samples."""
+        return len(self.scale)
+
+    @cached_property
+    def _absorbed(self) -> float:
+        return 1.0 if self.shape is None else 1 / (1 + float(np.vdot(self.shape, self.shape).real))
+
+    @cached_property
+    def _recursion(self) -> tuple[Array, Array]:
+        """``s_(k-1)`` and ``sqrt(s_(k-1) / s_k)``, both (n,)."""
+        assert self.shape is not None
+        power = np.abs(self.shape) ** 2
+        until = 1 + np.cumsum(power)
+        before = np.concatenate([[1.0], until[:-1]])
+        return before, np.sqrt(before / until)
+
+    @cached_property
+    def _single_scale(self) -> Array:
+        return self.scale.astype(np.float32)
+
+    @cached_property
+    def _single_shape(self) -> Complex | None:
+        return None if self.shape is None else self.shape.astype(np.complex64)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FullWeights(Weights):
+    """Whitening of correlated errors.
+
+    Attributes
+    ----------
+    matrix : ndarray
+        Inverse of the Cholesky factor of the covariance of the first n samples, times the root of
+        the baseband's `freedom`, (n, n).
+    """
+
+    matrix: Complex
+
+    @staticmethod
+    def of(factor: Complex, scale: Array, freedom: float, spread: float) -> FullWeights:
+        """Return the weights for the Cholesky factor of a scaled covariance.
+
+        Parameters
+        ----------
+        factor : ndarray
+            Lower Cholesky factor of the covariance with rows and columns times `scale`, (n, n).
+        scale : ndarray
+            (n,).
+        freedom, spread : float
+            See :class:`Weights`.
+        """
+        inverse, _ = ztrtri(factor, lower=1)
+        return FullWeights(
+            matrix=np.sqrt(freedom) * inverse * scale, spread=spread,
+            log_determinant=freedom * log_determinant(factor, scale),
+        )  # fmt: skip
+
+    def __call__(self, samples: Complex) -> Complex:
+        """Return whitened samples (..., n) of samples (..., n_time)."""
+        return samples[..., : len(self.matrix)] @ self.matrix.T
+
+    def in_single_precision(self, samples: Complex) -> Complex:
+        """Return samples whitened in single precision, which is enough for derivatives."""
+        given = samples[..., : len(self.matrix)].astype(np.complex64, copy=False)
+        return np.asarray(given @ self._single.T)
+
+    def adjoint(self, white: Complex) -> Complex:
+        """Return ``W^H`` times whitened samples (..., n)."""
+        return np.asarray(white @ self.matrix.conj())
+
+    def until(self, n: int) -> FullWeights:
+        """Return the weights of the first n samples alone; `log_determinant` is kept."""
+        return replace(self, matrix=self.matrix[:n, :n])
+
+    def energies(self, samples: Complex, start: int) -> Array:
+        """Return the squared norms, whitened, of consecutive samples in single precision."""
+        part = slice(start, start + samples.shape[-1])
+        weighted = samples @ self._precision[part, part].T
+        return np.asarray((samples.real * weighted.real + samples.imag * weighted.imag).sum(-1))
+
+    @property
+    def sample_precision(self) -> Array:
+        """Diagonal of the precision matrix, (n,)."""
+        return np.asarray(np.sum(np.abs(self.matrix) ** 2, axis=0))
+
+    @property
+    def n_samples(self) -> int:
+        """Number n of samples."""
+        return len(self.matrix)
+
+    @cached_property
+    def _single(self) -> Complex:
+        return self.matrix.astype(np.complex64)
+
+    @cached_property
+    def _precision(self) -> Complex:
+        """Precision matrix in single precision, (n, n)."""
+        return (self.matrix.conj().T @ self.matrix).astype(np.complex64)
+
+
+def _innovations(
+    scaled: Complex, shape: Complex, before: NDArray[Any], gain: NDArray[Any]
+) -> Complex:
+    """Return the innovations of samples (..., n) over their independent errors.
+
+    Parameters
+    ----------
+    scaled : ndarray
+        Samples over their independent errors' deviations, (..., n).
+    shape : ndarray
+        The vector u of :class:`RankOneWeights`, (n,).
+    before, gain : ndarray
+        ``s_(k-1)`` and ``sqrt(s_(k-1) / s_k)``, (n,).
+    """
+    along = scaled * shape.conj()
+    earlier = np.cumsum(along, axis=-1) - along
+    return np.asarray(gain * (scaled - shape / before * earlier))
+
+
+def log_determinant(factor: Complex, scale: Array) -> float:
+    """Return the log determinant of a covariance, from the Cholesky factor of the scaled one.
+
+    The arguments are those of :meth:`FullWeights.of`.
+    """
+    size = np.log(np.diag(factor).real.astype(float)) - np.log(scale)
+    return 2 * float(size.sum())
