@@ -38,8 +38,9 @@ def pytest_report_header():
     return f"acoustube {acoustube.__version__} of {Path(acoustube.__file__).parent}"
 
 
+@pytest.hookimpl(trylast=True)
 def pytest_sessionfinish():
-    """Leave nothing to the five rounds of the collector with which pytest ends."""
+    """Collect garbage once, and leave nothing to the five rounds with which pytest ends."""
     gc.collect()
     gc.freeze()
 

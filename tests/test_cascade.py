@@ -323,10 +323,10 @@ def test_tubes_that_cannot_be_joined_are_refused_by_what_is_wrong():
         probe_pressure([press], AIR, bump, duration=2e-3, **tube())
 
 
-@pytest.mark.parametrize("through", [False, True])
+@pytest.mark.parametrize("through", [0, 251, 1001])
 def test_a_pulse_with_a_mean_travels_unchanged_at_the_speed_of_sound(through):
     """The part at frequency zero travels too, also through a press known from zero."""
-    frequency = np.linspace(0.0, 50e3, 251)
+    frequency = np.linspace(0.0, 50e3, max(through, 2))
     one = made(frequency, np.tile(np.eye(2)[::-1], (len(frequency), 1, 1)).astype(complex))
     presses = [PlacedScatterer(one, 0.1)] if through else []
     bump = SampledPulse(pressure=np.exp(-((np.arange(401) - 200) ** 2) / 50**2), rate=1e6)

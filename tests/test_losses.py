@@ -182,12 +182,12 @@ def test_attenuation_and_speed_of_the_plane_mode_are_kirchhoffs():
 @pytest.mark.slow
 @pytest.mark.parametrize("resolution", [16, 32])
 def test_attenuation_of_every_mode_is_that_of_its_boundary_layers(resolution):
-    """(0,0) is right within 0.5 %, (1,1) at 42 and 50 kHz within 1.5 %, on either grid.
+    """(0,0) is right within 0.5 %, (1,1) within 1.5 %, 4 % near its cut-on, on either grid.
 
     The two modes (1,1) agree within 0.3 %, computed by halves or on the whole grid.
     """
     cells = straight_ends_cut(cut_cells(straight_tube(0.02, sections=256), 2 * BORE / resolution))
-    frequency = np.array([42e3, 50e3])
+    frequency = np.array([27e3, 42e3, 50e3])
     found = {}
     for odd in (False, True, None) if resolution == 16 else (False, True):
         part = PortProblem(cells, AIR, frequency, (8e3, 60e3), odd, True, 0.02)
@@ -200,7 +200,8 @@ def test_attenuation_of_every_mode_is_that_of_its_boundary_layers(resolution):
     assert len(pair) == (4 if resolution == 16 else 2)
     assert found[False, "00"] == pytest.approx(plane, rel=5e-3)
     for value in pair:
-        assert value == pytest.approx(second, rel=0.015)
+        assert value[1:] == pytest.approx(second[1:], rel=0.015)
+        assert value[0] == pytest.approx(second[0], rel=0.04)
         assert value == pytest.approx(pair[0], rel=3e-3)
 
 

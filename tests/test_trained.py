@@ -92,7 +92,7 @@ def test_cycles_of_other_carriers_or_several_tones_are_not_trained_on_together(r
     few = recorded.isel(cycle=slice(2))
     for name, drive in (("a.nc", Burst()), ("b.nc", Chirp(frequency=20e3, bandwidth=4e3))):
         recordings.write(few.assign_attrs(sensor_of(drive)), name)
-    words = "b.nc has a carrier of 20 kHz +- 2 kHz, and the first recording is processed for 42 kHz"
+    words = "b.nc has a drive of 20 +- 2 kHz for 1 ms, and the recordings are processed for one of"
     refused(words, command=("train", "a.nc", "b.nc", *ECHO[2:]))
     recordings.write(few.assign_attrs(sensor_of(Tones(frequencies=(40e3, 42e3)))), "a.nc")
     refused("a.nc: the compressed pulse of kind = 'Tones' has no single maximum")

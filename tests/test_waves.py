@@ -246,7 +246,7 @@ def test_arrays_of_numpy_are_copied_to_the_device_uncompiled(compilations):
     """No other test uses this shape. The memory is aligned, so that JAX could keep it."""
     memory = np.zeros(4 * 3 * 5 * 7 * 23 + 64, np.uint8)
     first = -memory.ctypes.data % 64
-    values = memory[first : first - 64 or None].view(np.float32).reshape(3, 5, 7, 23)
+    values = memory[first : first - 64].view(np.float32).reshape(3, 5, 7, 23)
     found = on_device(values, np.float32)
     assert compilations == []
     values += 1

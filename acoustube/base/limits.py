@@ -18,6 +18,9 @@ LARGEST_CLOSING = 0.9
 SHALLOWEST_MM = 0.05
 """Smallest depth of a press, in mm."""
 
+PUNCH_EDGE = 0.1
+"""Default edge radius of a punch, as a fraction of its radius."""
+
 
 def pressed_reach(outer_diameter: float, indenter_diameter: float) -> float:
     """Return the length of tube that a press deforms on each side of its middle.

@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -100,13 +101,14 @@ def evaluate(
 
     from acoustube import estimation
     from acoustube.base.foreign.limits import reading
-    from acoustube.runs.training import error_rows, table_of
+    from acoustube.runs.training import check_carrier, error_rows, table_of
 
     report = output.reporter()
     start = time.perf_counter()
     trained = estimation.load(model)
     with watched_interrupts() as check, report.progress(check) as show:
-        table = table_of(data, trained.feature_settings, show)
+        how = trained.feature_settings
+        table = table_of(data, how, show, partial(check_carrier, how=how.processing))
         with reading(model, "cannot be used", "train it again"):
             estimates = estimation.estimate(trained, table)
     rows = list(error_rows(trained.targets, table, estimates))

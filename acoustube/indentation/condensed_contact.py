@@ -134,7 +134,8 @@ class CondensedContact:
         Let D be the change of the zone's contact stiffness. The tangent is positive definite if
         the factorised one is, and the Schur complement of the zone, the inverse of its compliance
         plus D, is as well. The latter holds if ``I + L^T D L`` is positive definite, with the
-        Cholesky factor L of the compliance.
+        Cholesky factor L of the compliance. On a layer, the change of the covered area is left out
+        of D.
         """
         if not self._zone.size:
             return True

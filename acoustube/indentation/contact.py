@@ -34,10 +34,11 @@ CONTACT_SMOOTHING = 3e-4
 The tube's initial stiffness is 0.47 N/mm: an onset wider by 4 um at the indenter and at the ground
 would change the force at 0.25 mm by 3 %."""
 VERTICAL_SMOOTHING = 0.1
-"""Half width of the smoothed onset of :func:`covered_area`, in undeformed areas.
+"""Half width of the smoothed onset of :func:`covered_area`, per undeformed area.
 
-A wall that does not stretch is within 6 degrees of the vertical there."""
+A wall that does not stretch is within 6 degrees of the vertical where the onset is smoothed."""
 UP = np.array([0.0, 1.0, 0.0])
+"""Unit vector against the direction of the press."""
 
 
 def undeformed_area(projected: Array) -> Array:
@@ -77,8 +78,9 @@ def covered_area(projected: Array) -> Array:
     -----
     The positive part of `projected`: where the wall faces up, the surface below it is already
     covered by a lower part of the wall. It is smoothed by :data:`VERTICAL_SMOOTHING`, because the
-    forces would jump where a wall becomes vertical. A rigid round tube is not affected up to a
-    settlement of 0.9 radii.
+    forces would jump where a wall becomes vertical. The smoothing does not affect a rigid round
+    tube up to a settlement of 0.9 radii. Of a fold that lies one above the other, both parts that
+    face down count.
     """
     return smoothed_positive_part(projected, VERTICAL_SMOOTHING)
 
@@ -146,7 +148,7 @@ def rigid_law(shear_modulus: Any, wall_thickness: Any) -> Partial:
 
 
 def foundation_energy(modulus: Scalar, thickness: Scalar, smoothing: Scalar, gap: Array) -> Array:
-    """Return the energy per area of its surface, in J/m2, of an elastic foundation on a rigid base.
+    """Return the energy of an elastic foundation on a rigid base, in J per m2 of its surface.
 
     Parameters
     ----------

@@ -15,6 +15,7 @@ from scipy.optimize import brentq
 
 from acoustube.base.checks import LENGTH, PLACE, Optional, check_fields
 from acoustube.base.errors import ConfigError
+from acoustube.base.limits import PUNCH_EDGE
 from acoustube.base.rules import Choice, Number
 from acoustube.base.types import Array
 from acoustube.indentation import contact, distances
@@ -30,8 +31,6 @@ SUPPORTS = ("held", "free")
 
 TOUCH_STEPS = 65
 """Number of heights, from the tube's top to its bottom, at which first contact is searched for."""
-PUNCH_EDGE = 0.1
-"""Default edge radius of a punch, as a fraction of its radius."""
 LARGEST_YAW = 1.0472
 """Largest yaw of a rod in rad: pi/3, rounded up to the digits that messages show."""
 

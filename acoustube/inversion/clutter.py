@@ -86,14 +86,9 @@ class Clutter:
 
     @cached_property
     def covariance(self) -> Complex:
-        """Covariance of the unknown part in counts squared, (n_time, n_time); not without it."""
+        """Covariance in counts squared, (n_time, n_time), where `shapes` is not None."""
         assert self.shapes is not None
         return np.asarray(self.shapes @ self.shapes.conj().T)
-
-    @cached_property
-    def covariance_single(self) -> Complex:
-        """The covariance in single precision."""
-        return self.covariance.astype(np.complex64)
 
     @cached_property
     def warmer_by_row(self) -> NDArray[np.complex64]:
@@ -193,9 +188,9 @@ class Reflectors:
             value.astype(np.complex64)
             for value in (np.exp(WARM_STEP * slope), np.exp(-WARM * slope), slope)
         )
-        warmer = np.linspace(-WARM, WARM, round(2 * WARM / WARM_STEP) + 1)
-        tables = np.zeros((2, len(warmer), len(edges), len(phase)), np.complex64)
-        for i, t in enumerate(warmer.astype(np.float32)):
+        deviations = np.linspace(-WARM, WARM, round(2 * WARM / WARM_STEP) + 1)
+        tables = np.zeros((2, len(deviations), len(edges), len(phase)), np.complex64)
+        for i, t in enumerate(deviations.astype(np.float32)):
             cells = factor * (terms[0] + t * (terms[1] + t * terms[2]))
             by_warmer = slope * cells + factor * (terms[1] + 2 * t * terms[2])
             for table, kept in zip(tables, (cells, by_warmer), strict=True):
@@ -223,9 +218,8 @@ def reflectors(base: Baseband, counts: NDArray[np.generic]) -> Reflectors:
     weight = (shape.conj() @ inverse @ shape).real
     level = shape.conj() @ inverse @ mean / weight if weight > 0 else 0.0
     strength = shapes.conj().T @ (inverse @ (mean - level * shape))
-    scale = np.asarray(strength * _scale(base, places), complex)
-    known = shapes @ strength
-    return Reflectors(places, np.asarray(scale, complex), mean - known, variance)
+    coefficients = np.asarray(strength * _scale(base, places), complex)
+    return Reflectors(places, coefficients, mean - shapes @ strength, variance)
 
 
 def _scale(base: Baseband, places: Array) -> Array:

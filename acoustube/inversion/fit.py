@@ -136,7 +136,7 @@ def maximise(
             active &= ~(same & (cost >= known.cost[0]))
         elif number >= PATIENCE:
             active &= cost < cost.min() + FAR_WORSE / 2 ** (number - PATIENCE)
-        if number:
+        if number:  # starting points may be close to each other, but not yet on their way
             _follow(leader, _near(at[:, None], at, m) & alike(at[:, None], at), cost)
             active &= leader == np.arange(len(at))
         i = np.flatnonzero(active)
@@ -156,7 +156,7 @@ def maximise(
         at[j], cost[j] = tried[better], new[0][better]
         gradient[j], information[j] = new[1][better], new[2][better]
         active[i] = (gain > CONVERGED) & (damping[i] < 1e5)
-    for _ in range(iterations):  # a leader may follow another
+    while np.any(leader[leader] != leader):  # a leader may follow another
         leader = leader[leader]
     return Fits(at[leader], cost[leader], information[leader])
 
@@ -179,8 +179,10 @@ def _follow(leader: NDArray[np.int_], near: NDArray[np.bool_], cost: Array) -> N
     cost : ndarray
         (n,).
     """
-    free = leader == np.arange(len(leader))
-    best = np.argmin(np.where(near & free, cost, np.inf), axis=1)
+    own = np.arange(len(leader))
+    free = leader == own
+    costs = np.where(near & free, cost, np.inf)
+    best = np.where(np.isfinite(cost), np.argmin(costs, axis=1), own)
     leader[free] = best[free]
 
 
@@ -211,14 +213,14 @@ def _few_quadratic(
     places, depths, nuisances = split(parameters)
     value, jacobian = model.baseband(tools, places, depths, nuisances)
     residual = whiten(samples - value)
-    slopes = whiten.in_single_precision(jacobian)
+    slopes = whiten.of_derivatives(jacobian)
     p = parameters.shape[1]
     prior = np.zeros((p, p))
     own = np.arange(p - len(NUISANCES), p)
     precision = 1 / model.priors.deviations**2
     prior[own, own] = precision
     cost = 2 * np.sum(np.abs(residual) ** 2, axis=1) + nuisances**2 @ precision
-    slopes = slopes.astype(complex)  # for products by place and by temperature, which cancel
+    slopes = slopes.astype(complex, copy=False)  # as products by place and temperature cancel
     conjugate = slopes.conj()
     gradient = -2 * (conjugate @ residual[:, :, None])[:, :, 0].real
     gradient[:, own] += nuisances * precision
@@ -248,8 +250,8 @@ def distinct(fits: Fits, n_presses: int) -> Fits:
         for j in kept:
             off = fits.parameters[i] - fits.parameters[j]
             close = bool(_near(fits.parameters[i], fits.parameters[j], n_presses))
-            near = float(off @ fits.information[j] @ off) < SAME_MAXIMUM
-            same = same or close or near
+            overlapping = float(off @ fits.information[j] @ off) < SAME_MAXIMUM
+            same = same or close or overlapping
         if not same:
             kept.append(i)
     return fits.at(np.array(kept))

@@ -263,7 +263,8 @@ class Builder:
             )
             tools = (*known.tools[:i], tool, *known.tools[i:])
             tried = maximise(self.model, tools, start, self.samples, whiten, STARTS[0])
-            start = tried.sorted().first(followed).parameters
+            _, first = np.unique(tried.parameters, axis=0, return_index=True)
+            start = tried.at(first).sorted().first(followed).parameters
             fits = maximise(self.model, tools, start, self.samples, whiten, 7)
             found.append((tools, distinct(fits, len(tools)).first(KEPT)))
         return found

@@ -1,7 +1,8 @@
-"""Likelihood of a cycle's baseband: its covariance about the model, and whitening.
+"""Likelihood of a cycle's baseband: its covariance about the model.
 
-The covariance has five parts: the noise, the unknown part of clutter and ring-down, an error of the
-model in proportion to the echo, one at all times, and one of the losses in the presses.
+The covariance has five parts: the noise; clutter and ring-down, or their error if they are known;
+an error of the model in proportion to the echo; one at all times; and one of the losses in the
+presses.
 """
 
 from __future__ import annotations
@@ -22,9 +23,6 @@ from acoustube.inversion.whitening import (
 )
 from acoustube.waves.scattering import Complex
 
-INDEPENDENT_SHARE = 1e-3
-"""Fraction of each sample's variance that is independent of the other samples, above which single
-precision is enough."""
 RINGING, RINGING_SHARE = 0.5e-3, 0.05
 """Decay time in s of the power of the model's error after an echo, due to trapped sound, and power
 of this tail at its start. Each sample of the echo adds a tail; its power is relative to the
@@ -97,7 +95,7 @@ def weights(
     variance, losses = _errors(model, noise, error, echo, spread)
     if model.clutter.shapes is None:
         return RankOneWeights.of(variance, losses, model.base.freedom, spread)
-    factor, scale = _factor(model.clutter.covariance, variance, losses)
+    factor, scale = _factor(model, variance, losses)
     return FullWeights.of(factor, scale, model.base.freedom, spread)
 
 
@@ -127,9 +125,7 @@ def whitened(
 ) -> tuple[Complex, float]:
     """Return whitened samples (..., n_time), and :attr:`.Weights.log_determinant`.
 
-    This is for weights that are used once. The Cholesky factor of correlated errors is not
-    inverted, and is in single precision where that changes a deviance by less than 0.01. This is so
-    where the independent part of each sample's variance is not small (:data:`INDEPENDENT_SHARE`).
+    This is for weights that are used once: a Cholesky factor of correlated errors is not inverted.
 
     Parameters
     ----------
@@ -141,16 +137,11 @@ def whitened(
     if model.clutter.shapes is None:
         whiten = weights(model, noise, error, echo, spread)
         return whiten(samples), whiten.log_determinant
-    variance, losses = _errors(model, noise, error, echo, spread)
-    known = model.clutter.covariance
-    power = 0.0 if losses is None else np.abs(losses) ** 2
-    if np.all(variance > INDEPENDENT_SHARE * (np.diag(known).real + variance + power)):
-        known = model.clutter.covariance_single
-    factor, scale = _factor(known, variance, losses)
-    flat = (samples * scale).astype(factor.dtype).reshape(-1, len(scale))
+    factor, scale = _factor(model, *_errors(model, noise, error, echo, spread))
+    flat = (samples * scale).reshape(-1, len(scale))
     white = solve_triangular(factor, flat.T, lower=True, overwrite_b=True, check_finite=False)
     freedom = model.base.freedom
-    found = np.sqrt(freedom) * np.asarray(white.T, complex).reshape(samples.shape)
+    found = np.sqrt(freedom) * white.T.reshape(samples.shape)
     return found, freedom * log_determinant(factor, scale)
 
 
@@ -168,22 +159,17 @@ def _errors(
     return variance, echo.by_losses
 
 
-def _factor(known: Complex, variance: Array, losses: Complex | None) -> tuple[Complex, Array]:
+def _factor(model: ForwardModel, variance: Array, losses: Complex | None) -> tuple[Complex, Array]:
     """Return the Cholesky factor of the covariance scaled to a unit diagonal, and the scale.
 
-    Parameters
-    ----------
-    known : ndarray
-        Covariance of the unknown part of clutter and ring-down, (n_time, n_time), whose precision
-        is that of the factor.
-    variance, losses
-        From :func:`_errors`.
+    `variance` and `losses` are those of :func:`_errors`.
     """
+    clutter = model.clutter.covariance
     power = 0.0 if losses is None else np.abs(losses) ** 2
-    scale = (np.diag(known).real.astype(float) + variance + power) ** -0.5
-    scaled = known * (scale[:, None] * scale).astype(known.real.dtype)
+    scale = (np.diag(clutter).real + variance + power) ** -0.5
+    scaled = clutter * (scale[:, None] * scale)
     scaled[np.diag_indices(len(scale))] += variance * scale**2
     if losses is not None:
-        scaled += np.outer(scale * losses, (scale * losses).conj()).astype(known.dtype)
+        scaled += np.outer(scale * losses, (scale * losses).conj())
     factor = cholesky(scaled, lower=True, overwrite_a=True, check_finite=False)
     return np.asarray(factor), scale

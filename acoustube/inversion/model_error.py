@@ -106,7 +106,7 @@ def restricted_deviance(
     slopes : ndarray
         Derivatives of the model, whitened, (n, n_parameters, n_time).
     logarithm : float
-        Logarithm of the determinant of the covariance.
+        :attr:`.Weights.log_determinant`.
     """
     precision = np.zeros(parameters.shape[1])
     precision[-len(NUISANCES) :] = 1 / model.priors.deviations**2

@@ -5,10 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import ztrtri
 
 from acoustube.base.types import Array
@@ -40,8 +38,8 @@ class Weights(ABC):
         """Return whitened samples (..., n) of samples (..., n_time)."""
 
     @abstractmethod
-    def in_single_precision(self, samples: Complex) -> Complex:
-        """Return samples whitened in single precision, which is enough for derivatives."""
+    def of_derivatives(self, samples: Complex) -> Complex:
+        """Return whitened derivatives (..., n); a full matrix may be in single precision."""
 
     @abstractmethod
     def adjoint(self, white: Complex) -> Complex:
@@ -53,12 +51,12 @@ class Weights(ABC):
 
     @abstractmethod
     def energies(self, samples: Complex, start: int) -> Array:
-        """Return the squared norms, whitened, of consecutive samples in single precision.
+        """Return the squared norms of whitened samples that are zero but for k consecutive ones.
 
         Parameters
         ----------
         samples : ndarray
-            (..., k). All other samples are zero.
+            Those that are not zero, in single precision, (..., k).
         start : int
             Index of the first of them.
         """
@@ -106,9 +104,10 @@ class RankOneWeights(Weights):
 
         Parameters
         ----------
-        variance, shape : ndarray
-            Variances of the independent errors, and a standard deviation of the error of known
-            shape, (n_time,).
+        variance : ndarray
+            Variances of the independent errors, (n_time,).
+        shape : ndarray or None
+            One standard deviation of the error of known shape, (n_time,); None without it.
         freedom, spread : float
             See :class:`Weights`.
         """
@@ -129,14 +128,9 @@ class RankOneWeights(Weights):
             return scaled
         return _innovations(scaled, self.shape, *self._recursion)
 
-    def in_single_precision(self, samples: Complex) -> Complex:
-        """Return samples whitened in single precision, which is enough for derivatives."""
-        given = samples[..., : len(self.scale)].astype(np.complex64, copy=False)
-        scaled = given * self._single_scale
-        if self._single_shape is None:
-            return scaled
-        before, gain = (np.asarray(part, np.float32) for part in self._recursion)
-        return _innovations(scaled, self._single_shape, before, gain)
+    def of_derivatives(self, samples: Complex) -> Complex:
+        """Return whitened derivatives (..., n), in double precision: products with u may cancel."""
+        return self(samples)
 
     def adjoint(self, white: Complex) -> Complex:
         """Return ``W^H`` times whitened samples (..., n)."""
@@ -154,13 +148,13 @@ class RankOneWeights(Weights):
         return replace(self, scale=self.scale[:n], shape=shape)
 
     def energies(self, samples: Complex, start: int) -> Array:
-        """Return the squared norms, whitened, of consecutive samples in single precision."""
+        """Return the squared norms of whitened samples that are zero but for k consecutive ones."""
         part = slice(start, start + samples.shape[-1])
-        scaled = samples * self._single_scale[part]
+        scaled = samples * self.scale[part]
         found = np.einsum("...i,...i->...", scaled.real, scaled.real)
         found += np.einsum("...i,...i->...", scaled.imag, scaled.imag)
-        if self._single_shape is not None:
-            found -= self._absorbed * np.abs(scaled @ self._single_shape[part].conj()) ** 2
+        if self.shape is not None:
+            found -= self._absorbed * np.abs(scaled @ self.shape[part].conj()) ** 2
         return np.asarray(found)
 
     @property
@@ -186,14 +180,6 @@ class RankOneWeights(Weights):
         until = 1 + np.cumsum(power)
         before = np.concatenate([[1.0], until[:-1]])
         return before, np.sqrt(before / until)
-
-    @cached_property
-    def _single_scale(self) -> Array:
-        return self.scale.astype(np.float32)
-
-    @cached_property
-    def _single_shape(self) -> Complex | None:
-        return None if self.shape is None else self.shape.astype(np.complex64)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -232,8 +218,8 @@ class FullWeights(Weights):
         """Return whitened samples (..., n) of samples (..., n_time)."""
         return samples[..., : len(self.matrix)] @ self.matrix.T
 
-    def in_single_precision(self, samples: Complex) -> Complex:
-        """Return samples whitened in single precision, which is enough for derivatives."""
+    def of_derivatives(self, samples: Complex) -> Complex:
+        """Return whitened derivatives (..., n), in single precision."""
         given = samples[..., : len(self.matrix)].astype(np.complex64, copy=False)
         return np.asarray(given @ self._single.T)
 
@@ -246,7 +232,7 @@ class FullWeights(Weights):
         return replace(self, matrix=self.matrix[:n, :n])
 
     def energies(self, samples: Complex, start: int) -> Array:
-        """Return the squared norms, whitened, of consecutive samples in single precision."""
+        """Return the squared norms of whitened samples that are zero but for k consecutive ones."""
         part = slice(start, start + samples.shape[-1])
         weighted = samples @ self._precision[part, part].T
         return np.asarray((samples.real * weighted.real + samples.imag * weighted.imag).sum(-1))
@@ -271,10 +257,8 @@ class FullWeights(Weights):
         return (self.matrix.conj().T @ self.matrix).astype(np.complex64)
 
 
-def _innovations(
-    scaled: Complex, shape: Complex, before: NDArray[Any], gain: NDArray[Any]
-) -> Complex:
-    """Return the innovations of samples (..., n) over their independent errors.
+def _innovations(scaled: Complex, shape: Complex, before: Array, gain: Array) -> Complex:
+    """Return whitened samples (..., n): innovations of the estimate of the error's amplitude.
 
     Parameters
     ----------

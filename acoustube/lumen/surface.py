@@ -52,7 +52,7 @@ class Lumen:
         half sealed, although the barrier of the self-contact keeps them open. With 0, the default,
         no gap counts as sealed.
     same : float
-        Distance in m up to which rings, or mirror images, count as equal.
+        Distance in m up to which two rings, or the lumen and its mirror image, count as equal.
     """
 
     rings: Array

@@ -49,7 +49,8 @@ SAME_AIR = 0.25
 """Largest difference of air temperature in K up to which untouched cycles are averaged, and, with
 untouched cycles, a forward model is reused: the temperature is then estimated from the clutter."""
 EQUAL_AIR = 0.02
-"""The largest difference in K for a forward model without untouched cycles: 0.06 mm at 1.6 m."""
+"""Largest difference of air temperature in K up to which a forward model is reused if there are no
+untouched cycles: 0.06 mm at 1.6 m."""
 BLOCK = 50
 """Least number of untouched cycles whose temperatures are averaged; a recording of fewer is one
 block. The thermometer's noise is negligible in the mean of so many."""

@@ -11,7 +11,7 @@ import xarray as xr
 
 from acoustube import estimation
 from acoustube.base.errors import ConfigError
-from acoustube.base.units import KHZ
+from acoustube.base.units import KHZ, MS
 from acoustube.estimation import FeatureSettings
 from acoustube.estimation.features import LABELS
 from acoustube.estimation.model import TARGETS
@@ -21,6 +21,8 @@ from acoustube.signals import Processing
 
 DISPLAY_UNITS = {"true_distance": ("cm", 100.0), "depth": ("mm", 1e3), "force": ("N", 1.0)}
 """Units of the labels in tables, with the factors from SI."""
+SAME_DRIVE = 0.01
+"""Largest relative difference of carriers, bands and chirps' durations that count as equal."""
 BINS = {"depth": 0.5e-3, "true_distance": 0.05}
 """Bin widths in m by label: the steps of the sleeve paper's depths, and those of its error map."""
 # Target, quantity by which cycles are binned, limits of the bin in SI, number of cycles, errors.
@@ -89,17 +91,24 @@ def check_carrier(path: Path, recorded: xr.Dataset, how: Processing) -> None:
         Settings of the processing.
     """
     stated = stated_processing(path, recorded)
-    if stated is None or (stated.frequency, stated.bandwidth) == (how.frequency, how.bandwidth):
+    if stated is None:
         return
     own, other = (
-        f"{KHZ * one.frequency:g} kHz" + (f" +- {KHZ * half:g} kHz" if half else "")
+        (one.frequency, one.bandwidth or 0.0, one.pulse_cycles if one.bandwidth else 0.0)
         for one in (stated, how)
-        for half in [(one.bandwidth or 0.0) / 2]
     )
-    raise ConfigError(
-        f"{path} has a carrier of {own}, and the first recording is processed for {other}; use "
-        "recordings of one carrier"
-    )
+    if not np.allclose(own, other, rtol=SAME_DRIVE):
+        raise ConfigError(
+            f"{path} has a drive of {_in_words(stated)}, and the recordings are processed for one "
+            f"of {_in_words(how)}; use recordings of one drive"
+        )
+
+
+def _in_words(how: Processing) -> str:
+    """Return carrier, band and duration of the drive that a processing is for."""
+    half = (how.bandwidth or 0.0) / 2
+    band = f" +- {KHZ * half:g}" if half else ""
+    return f"{KHZ * how.frequency:.4g}{band} kHz for {MS * how.pulse_cycles / how.frequency:.3g} ms"
 
 
 def _joined(parts: list[xr.Dataset]) -> xr.Dataset:

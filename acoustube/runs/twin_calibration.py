@@ -200,7 +200,9 @@ def stated_processing(path: Path, recorded: xr.Dataset) -> Processing | None:
     """
     if "rangefinder" not in recorded.attrs:
         return None
-    words = settings_in(recorded.attrs["rangefinder"], path).get("drive", {})
+    words = settings_in(recorded.attrs["rangefinder"], path).get("drive")
+    if words is None:
+        return None
     try:
         kind = (DRIVES | {"Pulse": Pulse}).get(words["kind"])
         if kind is None:

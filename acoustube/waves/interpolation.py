@@ -108,7 +108,7 @@ def steps(given: Array, wanted: NDArray[Any], begun: Onsets) -> list[Step]:
         Cut-ons of the coefficients.
     """
     found = []
-    for cut_on in np.unique(begun.cut_on):
+    for cut_on in np.unique(begun.cut_on[begun.cut_on > 0]):
         first = int(np.searchsorted(given, cut_on, side="right"))
         fitted = slice(first, int(np.searchsorted(given, cut_on + SPAN)))
         if first == 0 or fitted.stop - first < FEWEST:

@@ -6,7 +6,13 @@ import math
 
 from acoustube.air import sound_speed
 from acoustube.base.errors import ConfigError
-from acoustube.base.limits import CLEARANCE, JOINED_CLEARANCE, SHALLOWEST_MM, pressed_reach
+from acoustube.base.limits import (
+    CLEARANCE,
+    JOINED_CLEARANCE,
+    PUNCH_EDGE,
+    SHALLOWEST_MM,
+    pressed_reach,
+)
 from acoustube.runs.config.settings import IndentationSettings, TubeSettings, WaveSettings
 
 MM_PER_CM = 10
@@ -90,11 +96,11 @@ def check_offset(tube: TubeSettings, press: IndentationSettings) -> None:
     -----
     A section of the indenter is flat up to ``flat`` from its axis, and then round with the radius
     ``edge``. At first touch the centre of this rounding is ``outer + edge`` from the tube's axis.
+    The indenter misses if that centre passes beside the axis (``edge < outer``), or if it still
+    misses when its lowest point is level with the tube's bottom.
     """
     if press.offset_mm == 0 or press.depth_mm == 0:
         return
-    from acoustube.indentation.indenters import PUNCH_EDGE  # which loads the finite elements
-
     outer, radius = tube.outer_diameter_mm / 2, press.indenter_mm / 2
     edge = radius if press.shape == "sphere" else PUNCH_EDGE * radius
     flat = radius - edge
@@ -104,16 +110,17 @@ def check_offset(tube: TubeSettings, press: IndentationSettings) -> None:
         raise ConfigError(
             f"is so large that the {press.indenter_mm:g} mm {press.shape} misses the tube",
             setting="offset_mm", value=press.offset_mm, allowed=(-bound, bound),
-            advice=f"use at most {bound:g} or a larger indenter",
+            advice=f"use {-bound:g} to {bound:g}, or a larger indenter",
         )  # fmt: skip
     beside = max(abs(press.offset_mm) - flat, 0.0)
     lowest = math.sqrt((outer + edge) ** 2 - beside**2) - edge
     room = outer + lowest + (press.layer_mm or 0.0)
     if press.depth_mm >= room:
+        deepest = (math.ceil(100 * room) - 1) / 100
         raise ConfigError(
-            f"pushes the {press.shape}, {press.offset_mm:g} mm beside the axis, into the floor, "
-            f"which is {room:.3g} mm below first touch",
-            setting="depth_mm", value=press.depth_mm, advice="reduce the depth or offset_mm",
+            f"pushes the {press.shape}, {press.offset_mm:g} mm beside the axis, into the floor",
+            setting="depth_mm", value=press.depth_mm, allowed=(SHALLOWEST_MM, deepest),
+            advice=f"use at most {deepest:g}, or a smaller offset_mm",
         )  # fmt: skip
 
 
