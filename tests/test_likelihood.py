@@ -4,6 +4,7 @@ Fast forms that the inversion uses are compared with direct computations.
 """
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from acoustube.inversion import (
     Priors,
     baseband_of,
     doubt,
+    estimate,
     measured_clutter,
 )
 from acoustube.inversion.clutter import Reflectors
@@ -290,3 +292,25 @@ def test_a_press_is_credited_beyond_its_own_small_error_of_the_model(model, monk
     assert fewer.deviance - doubted(builder, fewer, more).deviance > cost_of_press(3)
     monkeypatch.setattr(doubt, "SMALL_ERROR", 0.0)
     assert fewer.deviance - doubted(builder, fewer, more).deviance < 0
+
+
+def test_presses_found_in_time_are_judged_although_fewer_are_unlikely(monkeypatch):
+    """Three presses of which two explain less than one, as if no second one were there."""
+
+    def hypothesis(number, deviance, error):
+        fits = Fits(np.zeros((1, 2 * number + 6)), np.zeros(1), np.eye(2 * number + 6)[None])
+        return Hypothesis((0,) * number, fits, error, None, deviance, 1.0)
+
+    one, two, three = (
+        hypothesis(1, 0.0, 0.4), hypothesis(2, 500.0, 0.4), hypothesis(3, -9e3, 0.01)
+    )  # fmt: skip
+    builder = SimpleNamespace(
+        untouched=lambda: hypothesis(0, 1e5, 0.0), settled=lambda one: one,
+        shifted=lambda one: one, extended=lambda _: [], replaced=lambda *_: [],
+        own_deviance=lambda one: one.deviance, pruned=lambda _: [hypothesis(2, 600.0, 0.4)],
+    )  # fmt: skip
+    monkeypatch.setattr(estimate, "doubted", lambda _builder, _fewer, more: more)
+    for in_time, expected in (([[one], [two], [three]], 4), ([[one], [two]], 3)):
+        monkeypatch.setattr(estimate, "peeled", lambda *_, found=in_time: found)
+        chain = Inverter._chain(SimpleNamespace(most=3), builder)
+        assert [len(known.tools) for known in chain] == list(range(expected))

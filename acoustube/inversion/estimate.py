@@ -196,7 +196,10 @@ class Inverter:
             return self._posterior(self._chain(builder), builder)
 
     def _chain(self, builder: Builder) -> list[Hypothesis]:
-        """Return the best hypothesis of each number of presses, up to the first unlikely number."""
+        """Return the best hypothesis of each number of presses, up to the first unlikely number.
+
+        Numbers of presses that were found one after another in time are not left out.
+        """
         chain = [builder.untouched()]
         beam, in_time = chain, peeled(builder, self.most)
         for number in range(1, self.most + 1):
@@ -222,7 +225,7 @@ class Inverter:
                 best = doubted(builder, chain[-1], best)
                 likelier = best.deviance + cost < chain[-1].deviance
             chain.append(best)
-            if not likelier:
+            if not likelier and number >= len(in_time):  # two of three presses may be unlikely
                 break
             beam = [best, *_others(best, found)] if best.error > GOOD else [best]
         return _pruned(builder, chain)
