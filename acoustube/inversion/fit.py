@@ -30,11 +30,9 @@ AT_ONCE = 16
 """Number of sets of parameters whose scattering is computed at once: some MB, which fit a cache."""
 DISTINCT = 0.3e-3, 0.02e-3
 """Differences of place and depth in m below which two maxima count as one."""
-ALIKE = 0.1
-"""Difference of nuisance parameters, relative to the deviation of their prior, below which two sets
-of parameters count as one while maxima are sought."""
 SAME_MAXIMUM = 4.0
-"""Squared Mahalanobis distance of two maxima below which they also count as one."""
+"""Squared Mahalanobis distance of two maxima below which they also count as one. While maxima are
+sought, two sets of parameters count as one by this alone."""
 PATIENCE, FAR_WORSE = 3, 1e3
 """Rule without a known maximum: after PATIENCE iterations, starting points are given up whose cost
 exceeds the least by FAR_WORSE or more. This excess is halved with each further iteration."""
@@ -102,8 +100,8 @@ def maximise(
 
     The fits are in the order of the starting points. A starting point whose cost stays far above
     the least, or above that of a known maximum, or that comes to the known maximum, is given up:
-    its last parameters are returned. One that comes to the parameters of a better one has the
-    maximum of the latter. Parameters are equal within :data:`DISTINCT` and :data:`ALIKE`.
+    its last parameters are returned. One that comes to the parameters of a better one, within
+    :data:`SAME_MAXIMUM`, has the maximum of the latter.
 
     Parameters
     ----------
@@ -123,21 +121,16 @@ def maximise(
     at = bounded(model, tools, start)
     cost, gradient, information = _quadratic(model, tools, at, samples, whiten)
     damping, active = np.full(len(at), DAMPING), np.ones(len(at), bool)
-    leader, m = np.arange(len(at)), len(tools)
-
-    def alike(one: Array, other: Array) -> NDArray[np.bool_]:
-        off = (one - other)[..., 2 * m :]
-        return np.asarray(np.all(np.abs(off) < ALIKE * model.priors.deviations, axis=-1))
-
+    leader = np.arange(len(at))
     for number in range(iterations):
         if known is not None:
             active &= cost < known.cost[0] + GIVEN_UP[min(number, len(GIVEN_UP) - 1)]
-            same = _near(at, known.parameters[0], m) & alike(at, known.parameters[0])
+            same = _alike(at, known.parameters[:1], known.information[:1])[:, 0]
             active &= ~(same & (cost >= known.cost[0]))
         elif number >= PATIENCE:
             active &= cost < cost.min() + FAR_WORSE / 2 ** (number - PATIENCE)
         if number:  # starting points may be close to each other, but not yet on their way
-            _follow(leader, _near(at[:, None], at, m) & alike(at[:, None], at), cost)
+            _follow(leader, _alike(at, at, information), cost)
             active &= leader == np.arange(len(at))
         i = np.flatnonzero(active)
         if not len(i):
@@ -161,10 +154,13 @@ def maximise(
     return Fits(at[leader], cost[leader], information[leader])
 
 
-def _near(one: Array, other: Array, n_presses: int) -> NDArray[np.bool_]:
-    """Return whether places and depths of parameters (..., p) agree within :data:`DISTINCT`."""
-    off = (one - other)[..., : 2 * n_presses]
-    return np.asarray(np.all(np.abs(off) < np.tile(DISTINCT, n_presses), axis=-1))
+def _alike(one: Array, other: Array, information: Array) -> NDArray[np.bool_]:
+    """Return whether parameters (n, p) count as one with others (m, p), (n, m).
+
+    `information` is that of the others, (m, p, p).
+    """
+    off = one[:, None] - other
+    return np.asarray(np.einsum("ijp,jpq,ijq->ij", off, information, off) < SAME_MAXIMUM)
 
 
 def _follow(leader: NDArray[np.int_], near: NDArray[np.bool_], cost: Array) -> None:
@@ -244,12 +240,13 @@ def evidence(model: ForwardModel, tools: tuple[int, ...], fits: Fits, whiten: We
 def distinct(fits: Fits, n_presses: int) -> Fits:
     """Return the distinct maxima, the best first; of those that count as one, the best is kept."""
     fits = fits.sorted()
+    scale = np.tile(DISTINCT, n_presses)
     kept: list[int] = []
     for i in range(len(fits.cost)):
         same = False
         for j in kept:
             off = fits.parameters[i] - fits.parameters[j]
-            close = bool(_near(fits.parameters[i], fits.parameters[j], n_presses))
+            close = bool(np.all(np.abs(off[: 2 * n_presses]) < scale))
             overlapping = float(off @ fits.information[j] @ off) < SAME_MAXIMUM
             same = same or close or overlapping
         if not same:
