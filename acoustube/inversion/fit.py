@@ -131,9 +131,7 @@ def maximise(
                 active &= ~(same & (cost >= known.cost[0]))
         elif number >= PATIENCE:
             active &= cost < cost.min() + FAR_WORSE / 2 ** (number - PATIENCE)
-        if (
-            number and len(tools) == 1
-        ):  # starting points may be close to each other, but not yet on their way
+        if number and len(tools) == 1:  # at first, starting points may be close by chance
             _follow(leader, _alike(at, at, information), cost)
             active &= leader == np.arange(len(at))
         i = np.flatnonzero(active)
