@@ -101,14 +101,16 @@ def evaluate(
 
     from acoustube import estimation
     from acoustube.base.foreign.limits import reading
-    from acoustube.runs.training import check_carrier, error_rows, table_of
+    from acoustube.runs.recordings import read_cycles
+    from acoustube.runs.training import check_drive, error_rows, table_of
 
     report = output.reporter()
     start = time.perf_counter()
     trained = estimation.load(model)
     with watched_interrupts() as check, report.progress(check) as show:
         how = trained.feature_settings
-        table = table_of(data, how, show, partial(check_carrier, how=how.processing))
+        check_recording = partial(check_drive, how=how.processing)
+        table = table_of(read_cycles(data), how, show, check_recording)
         with reading(model, "cannot be used", "train it again"):
             estimates = estimation.estimate(trained, table)
     rows = list(error_rows(trained.targets, table, estimates))

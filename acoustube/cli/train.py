@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -85,23 +86,25 @@ def train(
     from acoustube import estimation
     from acoustube.estimation.model import kind_of_features
     from acoustube.runs.recordings import check_rate, chosen, read_cycles
-    from acoustube.runs.training import check_carrier, table_of
+    from acoustube.runs.training import check_drive, table_of
     from acoustube.runs.twin_calibration import stated_processing
 
     start = time.perf_counter()
     report = output.reporter()
-    stated = None if ranging.calibration else stated_processing(*next(read_cycles(data)))
+    recordings = read_cycles(data)
+    first = next(recordings)
+    stated = None if ranging.calibration else stated_processing(*first)
     known, processing = chosen(ranging.calibration, ranging.prominence, stated)
 
     def check_recording(path: Path, recorded: xr.Dataset) -> None:
         check_rate(float(recorded.attrs["sampling_rate"]), known, path)
         if known is None:
-            check_carrier(path, recorded, processing)
+            check_drive(path, recorded, processing)
 
     features = estimation.FeatureSettings(kind=kind_of_features(estimator), processing=processing)
     with watched_interrupts() as check:
         with report.progress(check) as show:
-            table = table_of(data, features, show, check_recording)
+            table = table_of(chain([first], recordings), features, show, check_recording)
         _print_cycles(table, estimator, report)
         with report.progress(check) as show:
             model = _trained(table, estimator, features, training, show, report)

@@ -150,11 +150,10 @@ class CondensedContact:
 
     def _touch(self, displacement: Array) -> Touch:
         """Return gaps, their gradients and areas in m2 (body, face, point) at the wall's points."""
-        mesh, area = self.model.mesh, self._areas
+        mesh = self.model.mesh
         faces = (mesh.points + displacement)[self._nodes]
-        touch = _gaps(padded(faces), padded(area), mesh.face, self.bodies)
-        gap, normal, ratio = (np.asarray(part)[:, : len(faces)] for part in touch)
-        return Touch(gap, normal, ratio * area)
+        touch = _gaps(padded(faces), padded(self._areas), mesh.face, self.bodies)
+        return Touch(*(np.asarray(part)[:, : len(faces)] for part in touch))
 
     def _laws(self, gap: Array, area: Array) -> tuple[Array, Array]:
         """Return force in N (negative) and stiffness in N/m of each gap, (body, face, point)."""

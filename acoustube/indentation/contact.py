@@ -303,7 +303,7 @@ class Touch(NamedTuple):
     normal : array of shape (n_bodies, n_faces, n_points, 3)
         Gradient of the gap with respect to the point's position.
     area : array of shape (n_bodies, n_faces, n_points)
-        Area that the body's law refers to, per undeformed area.
+        Area in m2 that the body's law refers to.
     """
 
     gap: Any
@@ -312,23 +312,23 @@ class Touch(NamedTuple):
 
 
 def gaps(position: Array, area: Array, face: Reference, bodies: tuple[Body, ...]) -> Touch:
-    """Return the gaps between the faces' points and bodies.
+    """Return the gaps between the faces' points and bodies, their gradients, and areas.
 
     Arguments as for :func:`energies_and_forces`.
     """
     basis = _basis(face)
 
-    def at_point(local: Array, per_area: Scalar) -> Touch:
+    def at_point(local: Array, area: Scalar, per_area: Scalar) -> Touch:
         projected = _projected(local, per_area)
         found = []
         for body in bodies:
             gap = jax.value_and_grad(lambda point, body=body: body.gap(point - body.height * UP))
-            found.append((*gap(local[0]), body.area(projected)))
+            found.append((*gap(local[0]), area * body.area(projected)))
         return Touch(*(jnp.stack(part) for part in zip(*found, strict=True)))
 
     def of_one(position: Array, area: Array) -> Touch:
         local = jnp.einsum("qna,ni->qai", basis, position)
-        return jax.vmap(at_point, out_axes=1)(local, _per_area(area, face))
+        return jax.vmap(at_point, out_axes=1)(local, area, _per_area(area, face))
 
     return jax.vmap(of_one, out_axes=1)(position, area)
 

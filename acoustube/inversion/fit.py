@@ -99,10 +99,9 @@ def maximise(
     """Return a maximum of the likelihood next to each starting point, by Levenberg and Marquardt.
 
     The fits are in the order of the starting points. A starting point whose cost stays far above
-    the least, or above that of a known maximum, is given up: its last parameters are returned. With
-    one press, one that comes to the known maximum is given up too, and one that comes to the
-    parameters of a better one, within :data:`SAME_MAXIMUM`, has the maximum of the latter. With
-    several presses, whose maxima are many and close, such a one may still lead to another maximum.
+    the least, or above that of a known maximum, or that comes to the known maximum, is given up:
+    its last parameters are returned. One that comes to the parameters of a better one, within
+    :data:`SAME_MAXIMUM`, has the maximum of the latter.
 
     Parameters
     ----------
@@ -126,12 +125,11 @@ def maximise(
     for number in range(iterations):
         if known is not None:
             active &= cost < known.cost[0] + GIVEN_UP[min(number, len(GIVEN_UP) - 1)]
-            if len(tools) == 1:
-                same = _alike(at, known.parameters[:1], known.information[:1])[:, 0]
-                active &= ~(same & (cost >= known.cost[0]))
+            same = _alike(at, known.parameters[:1], known.information[:1])[:, 0]
+            active &= ~(same & (cost >= known.cost[0]))
         elif number >= PATIENCE:
             active &= cost < cost.min() + FAR_WORSE / 2 ** (number - PATIENCE)
-        if number and len(tools) == 1:  # at first, starting points may be close by chance
+        if number:  # at first, starting points may be close by chance
             _follow(leader, _alike(at, at, information), cost)
             active &= leader == np.arange(len(at))
         i = np.flatnonzero(active)

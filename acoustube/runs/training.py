@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from acoustube.base.units import KHZ, MS
 from acoustube.estimation import FeatureSettings
 from acoustube.estimation.features import LABELS
 from acoustube.estimation.model import TARGETS
-from acoustube.runs.recordings import read_cycles
 from acoustube.runs.twin_calibration import stated_processing
 from acoustube.signals import Processing
 
@@ -30,17 +29,17 @@ Row = tuple[str, str, float, float, int, estimation.Errors]
 
 
 def table_of(
-    paths: Sequence[Path],
+    recordings: Iterable[tuple[Path, xr.Dataset]],
     feature_settings: FeatureSettings,
     report: Callable[[str, float], None],
     check: Callable[[Path, xr.Dataset], None] | None = None,
 ) -> xr.Dataset:
-    """Return the feature table of the cycles of files, read one after another.
+    """Return the feature table of the cycles of files, taken one after another.
 
     Parameters
     ----------
-    paths : sequence of Path
-        Files and folders.
+    recordings : iterable of (Path, xarray.Dataset)
+        Each file and its recording, as from :func:`acoustube.runs.recordings.read_cycles`.
     feature_settings : FeatureSettings
     report : callable
         Called with the name of the stage and the finished fraction of a file.
@@ -58,7 +57,7 @@ def table_of(
         If a file cannot be read or processed, or the files differ in sampling rate.
     """
     parts: list[xr.Dataset] = []
-    for path, data in read_cycles(paths):
+    for path, data in recordings:
         if check is not None:
             check(path, data)
         try:
@@ -79,8 +78,10 @@ def table_of(
     return _joined(parts)
 
 
-def check_carrier(path: Path, recorded: xr.Dataset, how: Processing) -> None:
-    """Raise ConfigError if a recording states another carrier or band than it is processed for.
+def check_drive(path: Path, recorded: xr.Dataset, how: Processing) -> None:
+    """Raise ConfigError if a recording states another drive than it is processed for.
+
+    Carriers are compared, bands, and the durations of chirps.
 
     Parameters
     ----------

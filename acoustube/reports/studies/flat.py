@@ -214,7 +214,8 @@ def _cycles(
     run_dataset([work / "sweep"], work / "cycles", recipe, report=report, workers=scale.workers)
     feature_settings = FeatureSettings(kind="paper", processing=processing_of(cases, recipe))
     with watched_interrupts() as check, report.progress(check) as show:
-        return table_of(sorted((work / "cycles").glob("cycles-*.nc")), feature_settings, show)
+        recordings = read_cycles(sorted((work / "cycles").glob("cycles-*.nc")))
+        return table_of(recordings, feature_settings, show)
 
 
 def processing_of(cases: xr.Dataset, recipe: Recipe) -> Processing:
