@@ -31,6 +31,12 @@ The second order rings least: its impulse response undershoots to -4.3 % and the
 """
 OFFSET_CUTOFF = 100.0
 """Cut-off frequency in Hz of the high-pass that removes a cycle's offset and its drift."""
+LOWEST_CUTOFF = 1e-6
+"""Lowest cut-off frequency of a filter, relative to the sampling rate.
+
+There the gain of the low-pass at frequency zero is right to 3e-6; below, its coefficients are lost
+in rounding.
+"""
 LONGEST_TEMPLATE = 1e6
 """Largest number of samples of a template, far more than in a cycle of any recorder."""
 LEAST_NORM = 1e-9
@@ -91,7 +97,7 @@ def remove_offset(samples: ArrayLike, sampling_rate: float, cutoff: float = OFFS
     Raises
     ------
     ValueError
-        If the cut-off is not below half the sampling rate.
+        If the cut-off is not below half the sampling rate, or is below :data:`LOWEST_CUTOFF`.
 
     Notes
     -----
@@ -254,8 +260,9 @@ def low_pass(samples: ArrayLike, sampling_rate: float, cutoff: float = 10e3) -> 
     Raises
     ------
     ValueError
-        If the cut-off is not below half the sampling rate, or a signal is shorter than three
-        periods of the cut-off: it would consist of the filter's transients.
+        If the cut-off is not below half the sampling rate, or is below :data:`LOWEST_CUTOFF`, or a
+        signal is shorter than three periods of the cut-off: it would consist of the filter's
+        transients.
 
     Notes
     -----
@@ -278,14 +285,16 @@ def low_pass(samples: ArrayLike, sampling_rate: float, cutoff: float = 10e3) -> 
 
 
 def check_cutoff(name: str, cutoff: float, sampling_rate: float) -> None:
-    """Raise ValueError unless a cut-off in Hz lies between 0 and half the sampling rate.
+    """Raise ValueError unless a cut-off in Hz is one of a filter at a sampling rate in Hz.
 
-    The message calls it `name`.
+    It has to lie between :data:`LOWEST_CUTOFF` and half of the sampling rate. The message calls it
+    `name`.
     """
-    if not 0 < cutoff < sampling_rate / 2:
+    least = LOWEST_CUTOFF * sampling_rate
+    if not least <= cutoff < sampling_rate / 2:
         raise ValueError(
-            f"{name} = {cutoff:g} Hz must lie between 0 and half the sampling rate "
-            f"({sampling_rate / 2:g} Hz)"
+            f"{name} = {cutoff:g} Hz must lie between {least:g} Hz and half the sampling rate "
+            f"({sampling_rate / 2:g} Hz) for sampling_rate = {sampling_rate:g} Hz"
         )
 
 
