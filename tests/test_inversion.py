@@ -25,9 +25,11 @@ from acoustube.inversion import (
     Wrap,
     baseband_of,
     measured_clutter,
+    peeling,
 )
 from acoustube.inversion.coupled_network import coupled_echo
 from acoustube.inversion.detection import _limit, limits_along
+from acoustube.inversion.hypotheses import Builder
 from acoustube.inversion.joints import Joined
 from acoustube.inversion.likelihood import deviance_of, echo_of, weights
 from acoustube.inversion.model_error import restricted_deviance
@@ -578,6 +580,22 @@ def test_three_presses_are_found_where_two_alone_are_misplaced(inverter):
     assert [one.distance.value for one in found.contacts] == pytest.approx(places, abs=1e-3)
     assert [one.depth.value for one in found.contacts] == pytest.approx(depths, abs=0.1e-3)
     assert found.fits
+
+
+def test_faint_press_before_a_strong_one_is_found_in_time(inverter, monkeypatch):
+    """Its echo has no onset of its own: single samples of it are hardly above the noise."""
+    places, depths = [0.5, 0.95, 1.15], [3e-3, 2.3e-3, 6e-3]
+    presses = [press(d, z) for d, z in zip(depths, places, strict=True)]
+    cycles = record(presses, n_cycles=4, tube_seed=7, seed=6)["signal"].values
+    samples = inverter.model.base.of_cycles(cycles)
+    builder = Builder(inverter.model, inverter.templates, *samples)
+
+    def last():
+        return [known.best[: 2 * len(known.tools) : 2] for known in peeling.peeled(builder, 3)[-1]]
+
+    assert any(one == pytest.approx(places, abs=1e-3) for one in last())
+    monkeypatch.setattr(peeling, "_before_onset", lambda *_: [])
+    assert all(one == pytest.approx([places[0], places[2]], abs=1e-3) for one in last())
 
 
 @pytest.mark.slow

@@ -275,7 +275,7 @@ def test_front_of_a_press_is_its_reflection_and_transmission(modes):
         np.testing.assert_array_equal(one, other)
 
 
-def test_a_press_is_credited_beyond_its_own_small_error_of_the_model(model, monkeypatch):
+def test_a_press_is_credited_beyond_an_error_of_the_model_that_is_small_with_it(model, monkeypatch):
     """A faint third press is accepted, although without it the error of the model seems to be 0.1.
 
     With that error of the model the third press would have a negative evidence; with the press the
@@ -288,9 +288,9 @@ def test_a_press_is_credited_beyond_its_own_small_error_of_the_model(model, monk
     start = Fits(three[None], np.zeros(1), np.eye(len(three))[None])
     more = builder.settled(Hypothesis((0,) * 3, start, 0.0, builder.quiet, 0.0, 0.0))
     fewer = builder.pruned(more)[-1]
-    assert more.error <= doubt.SMALL_ERROR < fewer.error
+    assert more.error <= doubt.FALL * fewer.error
     assert fewer.deviance - doubted(builder, fewer, more).deviance > cost_of_press(3)
-    monkeypatch.setattr(doubt, "SMALL_ERROR", 0.0)
+    monkeypatch.setattr(doubt, "FALL", 0.0)
     assert fewer.deviance - doubted(builder, fewer, more).deviance < 0
 
 

@@ -25,9 +25,10 @@ LEAST, BENT_LEAST, LARGEST = 0.02, 0.06, 0.1
 tube: two solvers or meshes differ by as much near closure. `BENT_LEAST` is that on a wrapped tube:
 echoes next to a cut-on differ by as much. `LARGEST` is the upper one: a larger error is due to
 presses that are not detected yet."""
-SMALL_ERROR = 0.01
-"""Relative error of the fit with one additional press up to which it is taken as that of the model.
-A larger error of the fit without this press is then due to its absence."""
+FALL = 0.4
+"""Ratio of the errors of the fits with and without one additional press up to which the former is
+taken as that of the model. The larger error without the press is then due to its absence: a press
+that fits an error of the model of the others does not lower it so much."""
 ITERATIONS = 6
 """Iterations of each fit with these weights."""
 
@@ -69,7 +70,7 @@ def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis
         `fewer` plus the change from `fewer` to `more` with the weights of :func:`doubt_weights`.
     """
     model = builder.model
-    seen = more.error if more.error <= SMALL_ERROR else fewer.error
+    seen = more.error if more.error <= FALL * fewer.error else fewer.error
     whiten = doubt_weights(model, fewer, builder.noise, seen)
     deviance = []
     for one in (fewer, more):

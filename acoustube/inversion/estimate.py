@@ -19,11 +19,13 @@ from acoustube.inversion.hypotheses import HOPELESS, Builder, Hypothesis
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.model_error import Discrepancy, discrepancy
 from acoustube.inversion.parameters import cost_of_press, split
-from acoustube.inversion.peeling import BEAM, EXPLAINED, peeled
+from acoustube.inversion.peeling import EXPLAINED, peeled
 from acoustube.inversion.posterior import Estimate, Posterior
 from acoustube.inversion.search import Templates
 from acoustube.waves.scattering import Complex
 
+BEAM = 2
+"""Number of hypotheses of each number of presses to which one more press is added."""
 SAME_PLACE = 0.03
 """Distance in m below which presses of two hypotheses count as the same press."""
 MISFIT = 0.15

@@ -2,7 +2,8 @@
 
 What has been received up to a moment is caused by the presses up to half the distance that sound
 has travelled by then. The next press is therefore fitted to the first part of the residual, before
-the echoes of presses behind it arrive, jointly with the presses before it.
+the echoes of presses behind it arrive, jointly with the presses before it. An echo that is too
+faint to have an onset of its own is sought before that of the next one.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import numpy as np
 
 from acoustube.base.types import Array
 from acoustube.inversion.hypotheses import LOUD, Builder, Hypothesis
+from acoustube.inversion.parameters import cost_of_press
 
 PARTS = 0.7e-3, 1.2e-3
 """Durations in s of the first part of an echo, tried one after the other."""
@@ -24,8 +26,9 @@ AHEAD = 0.5e-3
 EARLIER = 0.3
 """Distance in m by which the search for a press begins before its apparent place, in addition to
 half the length of the drive: the first part of the echo may be too weak to be seen."""
-BEAM = 2
-"""Number of hypotheses that are followed for each number of presses."""
+SEEN, FAINT = 3, 1
+"""Numbers of hypotheses that are followed for each number of presses: of those with a press at an
+onset, and of those with one before it."""
 ALIKE = 1e-3
 """Difference in m up to which places of two hypotheses count as the same."""
 
@@ -33,7 +36,7 @@ ALIKE = 1e-3
 def peeled(builder: Builder, most: int) -> list[list[Hypothesis]]:
     """Return hypotheses of one press, two and so on, each fitted to the first part of a recording.
 
-    For each number there are up to :data:`BEAM`, the best first. The list ends early where no
+    For each number there are up to :data:`SEEN` and :data:`FAINT`. The list ends early where no
     further press is found.
 
     Parameters
@@ -45,7 +48,11 @@ def peeled(builder: Builder, most: int) -> list[list[Hypothesis]]:
     beam = [builder.silent()]
     found: list[list[Hypothesis]] = []
     for _ in range(most):
-        beam = _distinct([more for known in beam for more in _with_next(builder, known)])[:BEAM]
+        onsets = [(known, _onset(builder, known)) for known in beam]
+        begun = [(known, onset) for known, onset in onsets if onset is not None]
+        seen = [more for one in begun for more in _at_onset(builder, *one)]
+        faint = [more for one in begun for more in _before_onset(builder, *one)]
+        beam = _distinct([*_distinct(seen)[:SEEN], *_distinct(faint)[:FAINT]])
         if not beam:
             break
         found.append(beam)
@@ -53,28 +60,53 @@ def peeled(builder: Builder, most: int) -> list[list[Hypothesis]]:
     return found
 
 
-def _with_next(builder: Builder, known: Hypothesis) -> list[Hypothesis]:
-    """Return hypotheses with the next press in time, whose `residual` is that of the fitted part.
+def _onset(builder: Builder, known: Hypothesis) -> int | None:
+    """Return the index of the sample at which an echo begins in the residual; None if none does."""
+    level = np.abs(known.whiten(builder.residual_of(known)))
+    return leading_edge(level, builder.model.base.interval)
 
-    There are none if no echo begins in the residual.
-    """
-    rest = builder.residual_of(known)
+
+def _at_onset(builder: Builder, known: Hypothesis, onset: int) -> list[Hypothesis]:
+    """Return hypotheses with the press whose echo begins at an onset, fitted to its first part."""
+    found = list[Hypothesis]()
     base = builder.model.base
-    start = leading_edge(np.abs(known.whiten(rest)), base.interval)
-    if start is None:
-        return []
-    found = []
     early = EARLIER + base.rangefinder.drive.duration * base.air.sound_speed / 2
     for part in PARTS:
-        end = min(start + max(int(part / base.interval), 2), len(rest))
-        whiten = known.whiten.until(end)
-        within = float(base.places[start]) - early, float(base.places[end - 1])
-        for tools, fits in builder.with_one_more(known, whiten, within)[:1]:
-            left = whiten(builder.samples - builder.modelled(tools, fits.parameters[0]))
-            share = float(np.mean(np.abs(left) ** 2)) / builder.model.base.freedom
-            found.append(Hypothesis(tools, fits.first(1), 0.0, whiten, np.inf, share))
-        if found and found[-1].residual < EXPLAINED:
+        end = min(onset + max(int(part / base.interval), 2), len(builder.samples))
+        within = float(base.places[onset]) - early, float(base.places[end - 1])
+        more = _fitted(builder, known, end, within)
+        found += more
+        if more and more[0].residual < EXPLAINED:
             break
+    return found
+
+
+def _before_onset(builder: Builder, known: Hypothesis, onset: int) -> list[Hypothesis]:
+    """Return hypotheses with a press whose echo arrives before an onset, without one of its own.
+
+    The correlation with the templates detects fainter echoes than the level of single samples does,
+    as behind a press whose sound decays slowly.
+    """
+    if not known.tools or onset < 2:
+        return []
+    within = 0.0, float(builder.model.base.places[onset - 1])
+    return _fitted(builder, known, onset, within, cost_of_press(len(known.tools) + 1))
+
+
+def _fitted(
+    builder: Builder, known: Hypothesis, end: int, within: tuple[float, float], least: float = 0.0
+) -> list[Hypothesis]:
+    """Return the best hypothesis with one more press, fitted to the samples before an end.
+
+    Its `residual` is that of these samples. The list is empty if there is no candidate within a
+    range of places in m whose expected gain exceeds `least`.
+    """
+    whiten = known.whiten.until(end)
+    found = []
+    for tools, fits in builder.with_one_more(known, whiten, within, least)[:1]:
+        left = whiten(builder.samples - builder.modelled(tools, fits.parameters[0]))
+        share = float(np.mean(np.abs(left) ** 2)) / builder.model.base.freedom
+        found.append(Hypothesis(tools, fits.first(1), 0.0, whiten, np.inf, share))
     return found
 
 
