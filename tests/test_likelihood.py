@@ -294,13 +294,29 @@ def test_a_press_is_credited_beyond_an_error_of_the_model_that_is_small_with_it(
     assert fewer.deviance - doubted(builder, fewer, more).deviance < 0
 
 
+def hypothesis(number, deviance, error):
+    fits = Fits(np.zeros((1, 2 * number + 6)), np.zeros(1), np.eye(2 * number + 6)[None])
+    return Hypothesis((0,) * number, fits, error, None, deviance, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("without", "with_it", "taken"), [(0.1, 0.03, 0.03), (0.1, 0.06, 0.1), (0.06, 0.06, 0.06)]
+)
+def test_error_of_the_model_is_that_with_a_press_if_it_is_well_below(
+    monkeypatch, without, with_it, taken
+):
+    """A press that lowers it from 0.1 to 0.06 may fit an error of the model of the others."""
+    seen = []
+    monkeypatch.setattr(doubt, "doubt_weights", lambda *given: seen.append(given[-1].error))
+    monkeypatch.setattr(doubt, "maximise", lambda *_: None)
+    monkeypatch.setattr(doubt, "evidence", lambda *_: [0.0])
+    builder = SimpleNamespace(model=None, noise=0.0, samples=None, own_deviance=lambda _: 0.0)
+    doubted(builder, hypothesis(2, 0.0, without), hypothesis(3, 0.0, with_it))
+    assert seen == [taken]
+
+
 def test_presses_found_in_time_are_judged_although_fewer_are_unlikely(monkeypatch):
     """Three presses of which two explain less than one, as if no second one were there."""
-
-    def hypothesis(number, deviance, error):
-        fits = Fits(np.zeros((1, 2 * number + 6)), np.zeros(1), np.eye(2 * number + 6)[None])
-        return Hypothesis((0,) * number, fits, error, None, deviance, 1.0)
-
     one, two, three = (
         hypothesis(1, 0.0, 0.4), hypothesis(2, 500.0, 0.4), hypothesis(3, -9e3, 0.01)
     )  # fmt: skip

@@ -249,10 +249,10 @@ class Several:
 def check_argument(name: str, value: Any, rule: Any) -> Any:
     """Return an argument if it obeys a rule, else raise ConfigError.
 
-    A class as a rule stands for its instances. Under a rule for a number, a number of NumPy is
-    returned as a plain float or int; if only whole numbers are allowed, any number as an int. Under
-    a rule for complex numbers, a list or tuple is returned as an array, and under one for real
-    numbers a list.
+    A class as a rule allows its instances. Under a rule for a number, a number of NumPy is returned
+    as a plain float or int; if only whole numbers are allowed, any number as an int. A list is
+    returned as an array under a rule for real or for complex numbers, a tuple only under the
+    latter.
     """
     if isinstance(rule, type):
         rule = Instance((rule,))

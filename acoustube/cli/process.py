@@ -26,7 +26,8 @@ UNCALIBRATED = (
     "centimetres off; acoustube calibrate makes one"
 )
 LOUD = 1.5
-"""Echo amplitude relative to the send pulse above which the record may begin after that pulse."""
+"""Echo amplitude relative to the send pulse above which a note says that the recorder may have
+started before the pulse was sent."""
 
 
 def process(

@@ -107,7 +107,7 @@ def references(topics: Iterable[str] | None = None) -> list[Reference]:
     Parameters
     ----------
     topics : iterable of str, optional
-        From :data:`TOPICS`. The program itself and the sensor's paper are always among them.
+        From :data:`TOPICS`. The topics software and sensor are always included.
     """
     wanted = set(TOPICS if topics is None else topics) | {"software", "sensor"}
     return [reference for reference in REFERENCES if reference.topic in wanted]

@@ -158,7 +158,10 @@ class _Tangent(NamedTuple):
         return -self.solve(state.gradient) if self.contact is None else self.contact.step(state)
 
     def holds_at(self, state: State) -> bool:
-        """Return whether the tangent is positive definite with the contact of another state too."""
+        """Return whether the tangent stays positive definite with the contact stiffness of `state`.
+
+        True without a check if the contact is not condensed.
+        """
         return self.contact is None or self.contact.positive_definite(state.displacement)
 
     @property

@@ -111,7 +111,7 @@ class _Known(NamedTuple):
 
 
 def _linearised(model: ForwardModel, known: Hypothesis, noise: float) -> _Known:
-    whiten = doubt_weights(model, known, noise, known.error) if known.tools else known.whiten
+    whiten = doubt_weights(model, known, noise, known) if known.tools else known.whiten
     parameters = known.best[None]
     value, slopes = model.baseband(known.tools, *split(parameters))
     slopes = whiten(slopes)

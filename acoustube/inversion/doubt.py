@@ -27,13 +27,16 @@ echoes next to a cut-on differ by as much. `LARGEST` is the upper one: a larger 
 presses that are not detected yet."""
 FALL = 0.4
 """Ratio of the errors of the fits with and without one additional press up to which the former is
-taken as that of the model. The larger error without the press is then due to its absence: a press
-that fits an error of the model of the others does not lower it so much."""
+taken as that of the model. The larger error without the press is then due to its absence. Both are
+among :data:`acoustube.inversion.hypotheses.ERRORS`, whose ratios next to this one are 1/3 and 1/2.
+"""
 ITERATIONS = 6
 """Iterations of each fit with these weights."""
 
 
-def doubt_weights(model: ForwardModel, known: Hypothesis, noise: float, seen: float) -> Weights:
+def doubt_weights(
+    model: ForwardModel, known: Hypothesis, noise: float, seen: Hypothesis
+) -> Weights:
     """Return the weights with which one additional press is judged, for an enlarged model error.
 
     Parameters
@@ -43,13 +46,14 @@ def doubt_weights(model: ForwardModel, known: Hypothesis, noise: float, seen: fl
         Hypothesis of one press or more.
     noise : float
         Variance of a sample of the mean of cycles, in counts squared.
-    seen : float
-        Estimated relative error of the model, before it is limited and enlarged.
+    seen : Hypothesis
+        Hypothesis whose errors of the model are taken: that in proportion to the echo, which is
+        limited and enlarged, and that at all times.
     """
     least = BENT_LEAST if model.path.converts else LEAST
-    error = sqrt(SAMPLES) * min(max(seen, least), LARGEST)
+    error = sqrt(SAMPLES) * min(max(seen.error, least), LARGEST)
     echo = echo_of(model, known.tools, known.best)
-    return weights(model, noise, error, echo, known.whiten.spread)
+    return weights(model, noise, error, echo, seen.whiten.spread)
 
 
 def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis:
@@ -70,7 +74,7 @@ def doubted(builder: Builder, fewer: Hypothesis, more: Hypothesis) -> Hypothesis
         `fewer` plus the change from `fewer` to `more` with the weights of :func:`doubt_weights`.
     """
     model = builder.model
-    seen = more.error if more.error <= FALL * fewer.error else fewer.error
+    seen = more if more.error <= FALL * fewer.error else fewer
     whiten = doubt_weights(model, fewer, builder.noise, seen)
     deviance = []
     for one in (fewer, more):

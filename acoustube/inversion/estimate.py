@@ -25,7 +25,8 @@ from acoustube.inversion.search import Templates
 from acoustube.waves.scattering import Complex
 
 BEAM = 2
-"""Number of hypotheses of each number of presses to which one more press is added."""
+"""Number of hypotheses of each number of presses whose other maxima are sought, and to which one
+more press is added."""
 SAME_PLACE = 0.03
 """Distance in m below which presses of two hypotheses count as the same press."""
 MISFIT = 0.15

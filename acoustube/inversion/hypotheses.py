@@ -182,8 +182,7 @@ class Builder:
         sought = [known] if own is known else [known, own]
         found = []
         if least is None:
-            # For a third press the odds of a second: the gain excludes a refit of the known two.
-            least = cost_of_press(min(len(known.tools) + 1, 2))
+            least = least_gain(known)
         for one in sought:
             fits = self.with_one_more(one, one.whiten, least=least)
             if one is known and np.isfinite(known.deviance):
@@ -279,7 +278,10 @@ class Builder:
         return min(tried, key=lambda one: one.deviance)
 
     def _alone(self, tools: tuple[int, ...], at: Array) -> Hypothesis:
-        """Return the hypothesis from a starting point (1, n_parameters), its error estimated."""
+        """Return the hypothesis fitted from one starting point (1, n_parameters).
+
+        The error of the model is estimated before each of two fits.
+        """
         for spread in (False, True):
             error, own = self._likely_error(tools, at[0], spread=spread)
             fit = maximise(self.model, tools, at, self.samples, own, 8)
@@ -387,6 +389,15 @@ class Builder:
         rest = whiten(self.samples - value)
         residual = float(np.mean(np.abs(rest) ** 2)) / self.model.base.freedom
         return Hypothesis(tools, fits, error, whiten, deviance, residual)
+
+
+def least_gain(known: Hypothesis) -> float:
+    """Return the expected decrease of the cost that candidates for one more press have to exceed.
+
+    It is what the prior odds of the press require. For a third press the odds of a second are
+    taken, since the expected decrease excludes a refit of the known presses.
+    """
+    return cost_of_press(min(len(known.tools) + 1, 2))
 
 
 def _without(known: Hypothesis, number: int) -> tuple[tuple[int, ...], Fits]:

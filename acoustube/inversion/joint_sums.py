@@ -68,23 +68,27 @@ def _applied_left(s: Complex, into: int, u0: Vector, u1: Vector) -> Vector:
 
 @numba.njit(**OPTIONS)
 def joined_values(s: Complex, joints: Complex, way: Complex, through: Complex) -> Complex:
-    """Return the scattering matrices of presses between the modes of the bends.
+    """Return the scattering matrices W of presses between two joints, in the modes of the bends.
+
+    See :mod:`acoustube.inversion.joints` for the equation.
 
     Parameters
     ----------
     s : ndarray
-        Scattering matrices between straight modes, (n, n_f, 2, 3, 2, 3).
+        Scattering matrices S of the presses in three straight modes, (n, n_f, 2, 3, 2, 3).
     joints : ndarray
-        Joints at both ports, (2, n, n_f, n_parts).
+        Matrices of the joints between straight and bent bore at both ports, flattened in the order
+        of the module's docstring, (2, n, n_f, n_parts).
     way : ndarray
-        Propagation factors of the straight modes from a press to a joint, (n, n_f, 3).
+        Propagation factors of the straight modes from the press to a joint, (n, n_f, 3).
     through : ndarray
-        Propagation factors of the modes that pass the press, from joint to joint, (n, n_f, n_own).
+        Propagation factors from joint to joint of the n_own modes that the press does not scatter,
+        (n, n_f, n_own).
 
     Returns
     -------
     ndarray
-        Scattering matrices between bent modes, (n, n_f, 2, 3, 2, 3).
+        W in three bent modes, (n, n_f, 2, 3, 2, 3).
     """
     n, n_f = s.shape[:2]
     found = np.zeros((n, n_f, 2, 3, 2, 3), np.complex128)
@@ -127,7 +131,8 @@ def joined_changes(
         Scattering matrices between straight modes and their derivatives by depth and stretch,
         (n, n_f, 2, 3, 2, 3).
     joints, moved : ndarray
-        Joints at both ports, and their derivatives by position in 1/m, (2, n, n_f, n_parts).
+        Matrices of the joints at both ports, and their derivatives by position in 1/m,
+        (2, n, n_f, n_parts).
     way, through
         See :func:`joined_values`.
     warm, through_warm : ndarray

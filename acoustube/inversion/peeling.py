@@ -3,7 +3,7 @@
 What has been received up to a moment is caused by the presses up to half the distance that sound
 has travelled by then. The next press is therefore fitted to the first part of the residual, before
 the echoes of presses behind it arrive, jointly with the presses before it. An echo that is too
-faint to have an onset of its own is sought before that of the next one.
+faint to have an onset of its own is sought before that of the next one, once a press is known.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from acoustube.base.types import Array
-from acoustube.inversion.hypotheses import LOUD, Builder, Hypothesis
-from acoustube.inversion.parameters import cost_of_press
+from acoustube.inversion.hypotheses import LOUD, Builder, Hypothesis, least_gain
 
 PARTS = 0.7e-3, 1.2e-3
 """Durations in s of the first part of an echo, tried one after the other."""
@@ -26,9 +25,9 @@ AHEAD = 0.5e-3
 EARLIER = 0.3
 """Distance in m by which the search for a press begins before its apparent place, in addition to
 half the length of the drive: the first part of the echo may be too weak to be seen."""
-SEEN, FAINT = 3, 1
-"""Numbers of hypotheses that are followed for each number of presses: of those with a press at an
-onset, and of those with one before it."""
+AT_ONSET, BEFORE_ONSET = 3, 1
+"""Largest numbers of hypotheses that are followed for each number of presses: of those whose last
+press is at an onset, and of those in which it comes before that."""
 ALIKE = 1e-3
 """Difference in m up to which places of two hypotheses count as the same."""
 
@@ -36,8 +35,9 @@ ALIKE = 1e-3
 def peeled(builder: Builder, most: int) -> list[list[Hypothesis]]:
     """Return hypotheses of one press, two and so on, each fitted to the first part of a recording.
 
-    For each number there are up to :data:`SEEN` and :data:`FAINT`. The list ends early where no
-    further press is found.
+    For each number there are up to :data:`AT_ONSET` plus :data:`BEFORE_ONSET`, each by rising
+    residual of the samples that it was fitted to. The list ends early where no further press is
+    found.
 
     Parameters
     ----------
@@ -49,10 +49,11 @@ def peeled(builder: Builder, most: int) -> list[list[Hypothesis]]:
     found: list[list[Hypothesis]] = []
     for _ in range(most):
         onsets = [(known, _onset(builder, known)) for known in beam]
-        begun = [(known, onset) for known, onset in onsets if onset is not None]
-        seen = [more for one in begun for more in _at_onset(builder, *one)]
-        faint = [more for one in begun for more in _before_onset(builder, *one)]
-        beam = _distinct([*_distinct(seen)[:SEEN], *_distinct(faint)[:FAINT]])
+        with_onset = [(known, onset) for known, onset in onsets if onset is not None]
+        at = _distinct([more for one in with_onset for more in _at_onset(builder, *one)])
+        before = _distinct([more for one in with_onset for more in _before_onset(builder, *one)])
+        beam = at[:AT_ONSET]
+        beam += [one for one in before if not _known(one, beam)][:BEFORE_ONSET]
         if not beam:
             break
         found.append(beam)
@@ -74,7 +75,7 @@ def _at_onset(builder: Builder, known: Hypothesis, onset: int) -> list[Hypothesi
     for part in PARTS:
         end = min(onset + max(int(part / base.interval), 2), len(builder.samples))
         within = float(base.places[onset]) - early, float(base.places[end - 1])
-        more = _fitted(builder, known, end, within)
+        more = _with_one_more(builder, known, end, within)
         found += more
         if more and more[0].residual < EXPLAINED:
             break
@@ -82,31 +83,32 @@ def _at_onset(builder: Builder, known: Hypothesis, onset: int) -> list[Hypothesi
 
 
 def _before_onset(builder: Builder, known: Hypothesis, onset: int) -> list[Hypothesis]:
-    """Return hypotheses with a press whose echo arrives before an onset, without one of its own.
+    """Return hypotheses with one more press whose echo arrives before an onset, and has none.
 
-    The correlation with the templates detects fainter echoes than the level of single samples does,
-    as behind a press whose sound decays slowly.
+    The correlation adds up the samples of an echo. It detects echoes whose single samples do not
+    exceed the level of an onset, as in the decaying sound of a nearer press. Without a known press
+    none is sought.
     """
-    if not known.tools or onset < 2:
+    end = float(builder.model.base.places[max(onset - 1, 0)])
+    if not known.tools or end < builder.model.span[0]:
         return []
-    within = 0.0, float(builder.model.base.places[onset - 1])
-    return _fitted(builder, known, onset, within, cost_of_press(len(known.tools) + 1))
+    return _with_one_more(builder, known, onset, (0.0, end), least_gain(known))
 
 
-def _fitted(
+def _with_one_more(
     builder: Builder, known: Hypothesis, end: int, within: tuple[float, float], least: float = 0.0
 ) -> list[Hypothesis]:
-    """Return the best hypothesis with one more press, fitted to the samples before an end.
+    """Return a list of the best hypothesis with one more press in a range of places in m.
 
-    Its `residual` is that of these samples. The list is empty if there is no candidate within a
-    range of places in m whose expected gain exceeds `least`.
+    It is fitted to the samples before number `end`, and its `residual` is that of these samples.
+    The list is empty if the expected gain of no candidate in the range exceeds `least`.
     """
     whiten = known.whiten.until(end)
     found = []
     for tools, fits in builder.with_one_more(known, whiten, within, least)[:1]:
         left = whiten(builder.samples - builder.modelled(tools, fits.parameters[0]))
-        share = float(np.mean(np.abs(left) ** 2)) / builder.model.base.freedom
-        found.append(Hypothesis(tools, fits.first(1), 0.0, whiten, np.inf, share))
+        residual = float(np.mean(np.abs(left) ** 2)) / builder.model.base.freedom
+        found.append(Hypothesis(tools, fits.first(1), 0.0, whiten, np.inf, residual))
     return found
 
 
@@ -132,12 +134,15 @@ def _distinct(found: list[Hypothesis]) -> list[Hypothesis]:
     """Return the hypotheses that differ in places or tools, in the order of rising residual."""
     kept: list[Hypothesis] = []
     for one in sorted(found, key=lambda one: one.residual):
-        ends = 2 * len(one.tools)
-        same = any(
-            other.tools == one.tools
-            and np.all(np.abs((other.best - one.best)[:ends:2]) < ALIKE)
-            for other in kept
-        )  # fmt: skip
-        if not same:
+        if not _known(one, kept):
             kept.append(one)
     return kept
+
+
+def _known(one: Hypothesis, others: list[Hypothesis]) -> bool:
+    """Return whether one of several hypotheses has the tools of another one, at the same places."""
+    ends = 2 * len(one.tools)
+    return any(
+        other.tools == one.tools and np.all(np.abs((other.best - one.best)[:ends:2]) < ALIKE)
+        for other in others
+    )

@@ -283,7 +283,7 @@ class _Zone:
 
 
 def around(place: float) -> tuple[float, float]:
-    """Return the range of places in m about a place within which its maximum is refined."""
+    """Return the range in m, about a place, in which the maximum of the gain is sought."""
     return place - FINE_REACH, place + FINE_REACH
 
 

@@ -197,14 +197,15 @@ class FullWeights(Weights):
 
     @staticmethod
     def of(factor: Complex, scale: Array, freedom: float, spread: float) -> FullWeights:
-        """Return the weights for the Cholesky factor of a scaled covariance.
+        """Return the weights that whiten errors, from a Cholesky factor of their covariance.
 
         Parameters
         ----------
         factor : ndarray
-            Lower Cholesky factor of the covariance with rows and columns times `scale`, (n, n).
+            Lower Cholesky factor of ``S C S``, with the covariance C of the samples and the
+            diagonal matrix S of `scale`, (n, n).
         scale : ndarray
-            (n,).
+            Factor of each sample, (n,).
         freedom, spread : float
             See :class:`Weights`.
         """

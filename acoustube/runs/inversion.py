@@ -46,8 +46,9 @@ COLUMNS = ("recording", "group", "contact", *CONTACT_COLUMNS)
 USUAL_LENGTH = 2.5
 """Tube length in m, assumed where neither the sensor's file nor the recording states one."""
 SAME_AIR = 0.25
-"""Largest difference of air temperature in K up to which untouched cycles are averaged, and, with
-untouched cycles, a forward model is reused: the temperature is then estimated from the clutter."""
+"""Largest difference in K between the air temperatures of untouched cycles that are averaged. It is
+also that up to which a forward model is reused if there are untouched cycles: their clutter then
+shows the difference, and the inversion estimates it."""
 EQUAL_AIR = 0.02
 """Largest difference of air temperature in K up to which a forward model is reused if there are no
 untouched cycles: 0.06 mm at 1.6 m."""

@@ -38,7 +38,7 @@ MOST_CLUTTER = 5e-3
 """Largest accepted power per length in 1/m that an untouched tube reflects: -23 dB re 1/m. Ordinary
 tubes reflect -48 dB re 1/m."""
 SAME_PLACE = 1e-4
-"""Largest difference in m between labels of the same position."""
+"""Step in m to which labels of position are rounded, to group the cycles of one closure."""
 
 
 @dataclass(frozen=True, kw_only=True)

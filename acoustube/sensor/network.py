@@ -251,7 +251,10 @@ def _propagated(
 def _between(
     table: jax.Array, ends: tuple[float, float], here: jax.Array | float, there: jax.Array
 ) -> jax.Array:
-    """Return the integrals of `decay` or `turn` of :class:`Constants` between places, (m, n_f)."""
+    """Return the log amplitude or the phase that modes gain between places on the tube, (m, n_f).
+
+    `table` is `decay` or `turn` of :class:`Constants`, which is integrated along the tube.
+    """
     if table.ndim == 2:
         return table * (there - here)
     last = table.shape[0] - 1

@@ -97,7 +97,8 @@ def remove_offset(samples: ArrayLike, sampling_rate: float, cutoff: float = OFFS
     Raises
     ------
     ValueError
-        If the cut-off is not below half the sampling rate, or is below :data:`LOWEST_CUTOFF`.
+        If the cut-off is not below half the sampling rate, or is below :data:`LOWEST_CUTOFF`
+        times that rate.
 
     Notes
     -----
@@ -260,9 +261,9 @@ def low_pass(samples: ArrayLike, sampling_rate: float, cutoff: float = 10e3) -> 
     Raises
     ------
     ValueError
-        If the cut-off is not below half the sampling rate, or is below :data:`LOWEST_CUTOFF`, or a
-        signal is shorter than three periods of the cut-off: it would consist of the filter's
-        transients.
+        If the cut-off is not below half the sampling rate, or is below :data:`LOWEST_CUTOFF`
+        times that rate, or a signal is shorter than three periods of the cut-off: it would consist
+        of the filter's transients.
 
     Notes
     -----
@@ -287,14 +288,14 @@ def low_pass(samples: ArrayLike, sampling_rate: float, cutoff: float = 10e3) -> 
 def check_cutoff(name: str, cutoff: float, sampling_rate: float) -> None:
     """Raise ValueError unless a cut-off in Hz is one of a filter at a sampling rate in Hz.
 
-    It has to lie between :data:`LOWEST_CUTOFF` and half of the sampling rate. The message calls it
+    It has to lie between :data:`LOWEST_CUTOFF` times that rate and half of it. The message calls it
     `name`.
     """
     least = LOWEST_CUTOFF * sampling_rate
     if not least <= cutoff < sampling_rate / 2:
         raise ValueError(
             f"{name} = {cutoff:g} Hz must lie between {least:g} Hz and half the sampling rate "
-            f"({sampling_rate / 2:g} Hz) for sampling_rate = {sampling_rate:g} Hz"
+            f"({sampling_rate / 2:g} Hz) at a sampling rate of {sampling_rate:g} Hz"
         )
 
 

@@ -1,4 +1,4 @@
-"""Results as CSV tables, one for each dimension, with a table that describes their columns."""
+"""CSV tables of results: one for each dimension, as cycle or time, and one of their columns."""
 
 from __future__ import annotations
 

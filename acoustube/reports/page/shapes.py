@@ -179,7 +179,10 @@ def tool(press: Indenter, tube_diameter: float) -> Tool:
 
 
 def _rod(radius: float, yaw: float, top: float, reach: float) -> list[Array]:
-    """Return the sheets of a lying cylinder: side, flat top, cut at x = 0, and end."""
+    """Return the surfaces of a horizontal cylinder that is cut off at height `top`.
+
+    They are the half x >= 0 of its side, the flat top, the section at x = 0, and the end.
+    """
     half = np.arccos(1 - top / radius)
     turn = np.linspace(-half, half, 2 * TOOL_RESOLUTION)
     s = _closed(np.stack([radius * np.sin(turn), radius * (1 - np.cos(turn))], axis=-1))

@@ -21,7 +21,7 @@ WALL, LUMEN, SECTION, ROD, GROUND = "#d9c7b0", "#4f8fc0", "#b59f83", "#9aa3ad", 
 STRIP_PIXELS = (2400, 260)
 CLOSE_UP_PIXELS = (1800, 760)
 STRIP_MAGNIFICATION = 3.0
-"""Magnification of the tube's cross-section over its length in the strip."""
+"""Magnification of the cross-section in the strip, relative to the scale along the tube."""
 
 
 def drawing(walls: xr.Dataset) -> AbstractContextManager[Callable[[], dict[str, Image] | None]]:

@@ -33,7 +33,8 @@ from acoustube.signals import Processing
 
 ROD = {"indenter_mm": ["25"], "length_cm": ["250"]}
 DEPTHS, FEW_DEPTHS = "0.5:8:0.5", "2:8:2"
-"""Depths in mm: those of the simulation study, so that presses are shared. 0.5 mm is not used."""
+"""Depths in mm in full and in quick runs. The full ones are those of the simulation study, so that
+its cached presses are used again; cycles at 0.5 mm are recorded, but left out of the dataset."""
 PLACES, FEWER_PLACES, FEW_PLACES = "20:210:1", "20:210:5", "30:150:30"
 SECOND_PLACES, SECOND_FEW = "20:160:35", "40:110:70"
 SECOND_DEPTHS = [f"{depth:.4g}" for depth in np.linspace(0.4, 8.0, 60)]
@@ -219,7 +220,7 @@ def _cycles(
 
 
 def processing_of(cases: xr.Dataset, recipe: Recipe) -> Processing:
-    """Return the processing of the tube that a sweep presses, calibrated on that specimen."""
+    """Return the signal processing calibrated on the specimen of the tube that a sweep presses."""
     found, _ = calibrated(seed_of(f"{_tube_of(cases)}-0", recipe.seed))
     return found.processing
 

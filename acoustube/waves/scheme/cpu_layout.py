@@ -45,12 +45,11 @@ class Stencil(NamedTuple):
     Attributes
     ----------
     weight : ndarray
-        Inverse volume times the time step squared, (nx, ny, nz).
-    area_x, area_y, area_z : ndarray
+        Inverse volume fraction times the time step squared, (nx, ny, nz).
+    area_x, area_y, area_z, beta : ndarray
+        See :class:`acoustube.waves.scheme.operator.Operator`; beta as (1,).
     full : ndarray
-        Areas of full faces normal to x, y and z, times the time step squared, (3,).
-    beta : ndarray
-        (1,).
+        Entries of `area_x`, `area_y` and `area_z` at full faces, times the time step squared, (3,).
     """
 
     weight: Array

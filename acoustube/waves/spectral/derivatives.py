@@ -187,9 +187,10 @@ def reduced_changes(
 def _changed_impedance(
     system: Discretisation, space: Reduced, changes: Changes, k: Array
 ) -> tuple[Array, Array]:
-    """Return the impedance matrix Z in m and its derivative, (n, n_ports n_modes, n_ports n_modes).
+    """Return the impedance matrix Z in m, without losses, and its derivative by the parameter.
 
-    The wavenumbers `k` are in 1/m, (n,).
+    Z is modal pressure over modal normal derivative; the derivative is per unit of the parameter of
+    `changes`. Both are (n, n_ports n_modes, n_ports n_modes), at wavenumbers `k` in 1/m, (n,).
     """
     square, vector = ritz(space.stiffness, space.mass)
     ports = vector.T @ space.ports

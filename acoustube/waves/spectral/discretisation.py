@@ -42,7 +42,9 @@ class Layers(NamedTuple):
         Matrices of a layer of unit thickness, in the unknowns of :class:`Discretisation`,
         (n_elements, n_basis, n_basis).
     blocks : int
-        Number of successive responses to the uniform layer in the Krylov space of a shift.
+        Number of Krylov blocks for the layer at each shift. The first is the solution for a load of
+        the layer's matrix times the response to the ports' loads; in each further one, the block
+        before it takes the place of that response.
     """
 
     points: WallPoints

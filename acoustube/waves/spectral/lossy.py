@@ -56,7 +56,7 @@ LAYER_DEGREE = 6
 """Degree of polynomials that determines the number of quadrature points round the tube for the
 boundary layers."""
 LAYER_BLOCKS = {False: 2, True: 3}
-"""Number of successive responses to the layers at each shift; True is the key for flat lumens."""
+"""Number of Krylov blocks for the layers at each shift; True is the key for flat lumens."""
 LAYER_PIECES = 2
 """Number of pieces of an element with a flat section, for the quadrature of the layers: walls pass
 from open to sealed within a fraction of the element. In other elements kinks of the wall do not

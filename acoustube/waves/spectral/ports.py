@@ -29,7 +29,8 @@ MARGIN = 1.3
 """Port modes have j' up to the largest k R plus this margin: they propagate or almost propagate. j'
 is the cut-on wavenumber times the radius R."""
 EVANESCENT_RANGE = 12.0
-"""Range of j' beyond the port modes in which evanescent modes are terminated by their impedance."""
+"""Range of j' above that of the port modes: evanescent modes in this range are terminated by their
+impedance."""
 
 
 @dataclass(frozen=True, eq=False)
