@@ -246,12 +246,11 @@ def echo_features(
 
     Notes
     -----
-    With the plane mode's attenuation a, the envelope e at distance l corresponds to e exp(2 a l) at
-    the reflector, which is its level there. The noise n is the median of e after the search window,
-    or within it if a twentieth of the record or less lies after it. The clutter k is the median of
-    that level over the samples of the search window that exceed 3 n, or over those at its start if
-    none does. The background is hypot(k exp(-2 a l), 3 n). It replaces a time gain fitted to
-    closures: it follows from the physics and from the cycle itself.
+    With the plane mode's attenuation a, the envelope e at distance l has the level e exp(2 a l) at
+    the reflector. The noise n is the median of e after the search window, or within it if hardly
+    any sample comes after it. The clutter k is the median level of the window's samples over 3 n,
+    or of those at its start if none is. The background is hypot(k exp(-2 a l), 3 n). It replaces a
+    time gain fitted to closures: it follows from the physics and from the cycle itself.
     """
     ranging = locate(
         time, signal, replace(settings, gain=None, prominence=1.0), temperature=temperature

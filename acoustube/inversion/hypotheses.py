@@ -18,7 +18,7 @@ from acoustube.inversion.fit import Fits, distinct, evidence, maximise
 from acoustube.inversion.likelihood import deviance_of, echo_of, weights
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.other_depths import other_depths
-from acoustube.inversion.parameters import CLOSEST, cost_of_press, joined, split
+from acoustube.inversion.parameters import CLOSEST, joined, least_gain, split
 from acoustube.inversion.search import Templates, front_of
 from acoustube.inversion.whitening import Weights
 from acoustube.waves.scattering import Complex
@@ -182,7 +182,7 @@ class Builder:
         sought = [known] if own is known else [known, own]
         found = []
         if least is None:
-            least = least_gain(known)
+            least = least_gain(len(known.tools) + 1)
         for one in sought:
             fits = self.with_one_more(one, one.whiten, least=least)
             if one is known and np.isfinite(known.deviance):
@@ -278,9 +278,9 @@ class Builder:
         return min(tried, key=lambda one: one.deviance)
 
     def _alone(self, tools: tuple[int, ...], at: Array) -> Hypothesis:
-        """Return the hypothesis fitted from one starting point (1, n_parameters).
+        """Return the hypothesis of two fits from a starting point (1, n_parameters).
 
-        The error of the model is estimated before each of two fits.
+        Before each the error of the model is estimated.
         """
         for spread in (False, True):
             error, own = self._likely_error(tools, at[0], spread=spread)
@@ -389,15 +389,6 @@ class Builder:
         rest = whiten(self.samples - value)
         residual = float(np.mean(np.abs(rest) ** 2)) / self.model.base.freedom
         return Hypothesis(tools, fits, error, whiten, deviance, residual)
-
-
-def least_gain(known: Hypothesis) -> float:
-    """Return the expected decrease of the cost that candidates for one more press have to exceed.
-
-    It is what the prior odds of the press require. For a third press the odds of a second are
-    taken, since the expected decrease excludes a refit of the known presses.
-    """
-    return cost_of_press(min(len(known.tools) + 1, 2))
 
 
 def _without(known: Hypothesis, number: int) -> tuple[tuple[int, ...], Fits]:

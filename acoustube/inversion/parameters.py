@@ -65,3 +65,12 @@ def limited(step: Array) -> Array:
 def cost_of_press(number: int) -> float:
     """Return minus twice the logarithm of the prior odds of a press, numbered from 1."""
     return float(PRESS_COSTS[min(number, len(PRESS_COSTS)) - 1])
+
+
+def least_gain(number: int) -> float:
+    """Return the expected decrease of the cost that candidates for a press have to exceed.
+
+    It is what the prior odds of the press of that `number`, from 1, require. For a third press
+    those of a second are taken, since the expected decrease excludes a refit of the known presses.
+    """
+    return cost_of_press(min(number, 2))

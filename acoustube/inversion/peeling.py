@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from acoustube.base.types import Array
-from acoustube.inversion.hypotheses import LOUD, Builder, Hypothesis, least_gain
+from acoustube.inversion.hypotheses import LOUD, Builder, Hypothesis
+from acoustube.inversion.parameters import least_gain
 
 PARTS = 0.7e-3, 1.2e-3
 """Durations in s of the first part of an echo, tried one after the other."""
@@ -92,7 +93,7 @@ def _before_onset(builder: Builder, known: Hypothesis, onset: int) -> list[Hypot
     end = float(builder.model.base.places[max(onset - 1, 0)])
     if not known.tools or end < builder.model.span[0]:
         return []
-    return _with_one_more(builder, known, onset, (0.0, end), least_gain(known))
+    return _with_one_more(builder, known, onset, (0.0, end), least_gain(len(known.tools) + 1))
 
 
 def _with_one_more(
