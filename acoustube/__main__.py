@@ -11,9 +11,9 @@ from typing import Any, NoReturn
 def entry() -> NoReturn:
     """Run the command line and leave with its exit code.
 
-    An interrupt at any moment, also while modules are being loaded, ends the command with one
-    sentence. A request to terminate counts as an interrupt, so that a batch system leaves no
-    half-written folder either.
+    An interrupt at any moment, also while modules are being loaded, ends the command with a
+    one-line message. SIGTERM and SIGHUP are handled like an interrupt, so that a batch system
+    leaves no half-written folder either.
     """
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)
@@ -32,13 +32,13 @@ def entry() -> NoReturn:
                 code = _run()
             except KeyboardInterrupt:  # a second one, while the first was being handled
                 code = _interrupted(exit_code())
-            except SystemExit as error:  # its frames are freed here, with their errors handled
+            except SystemExit as error:  # freeing its frames may lose an interrupt, watched here
                 code = error.code
     except KeyboardInterrupt:
         code = _interrupted(128 + signal.SIGINT)
     except SystemExit as error:
         code = error.code
-    # A normal exit of Python would wait for kernels that still run, or free what they use.
+    # A normal exit of Python would wait for compiled code that still runs, or free its memory.
     discard()
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):

@@ -108,7 +108,7 @@ class Air:
 
 
 class Relaxation(NamedTuple):
-    """A relaxation process with the attenuation ``strength f^2 / (f_r + f^2 / f_r)`` in Np/m.
+    """A relaxation with the attenuation ``strength f^2 / (f_r + f^2 / f_r)`` in Np/m at f in Hz.
 
     Attributes
     ----------
@@ -190,7 +190,7 @@ def air_at(
     ------
     ConfigError
         If the temperature is outside -20 to 60 degC, the humidity outside 0 to 100 %, the pressure
-        outside 10 to 200 kPa, or the water vapour's own pressure not below it.
+        outside 10 to 200 kPa, or the partial pressure of the water vapour not below the pressure.
 
     Notes
     -----

@@ -32,9 +32,9 @@ def shear_modulus_from_shore(shore_a: float) -> float:
 
     Notes
     -----
-    ``mu = E / 3`` with ``E = 10**(0.0235 S - 0.64)`` in MPa, an incompressible material. The sleeve
-    paper [1]_ uses this relation; it is the fit of Qi et al. [2]_ to finite elements of the
-    durometer test, for S from 20 to 80.
+    ``mu = E / 3`` for an incompressible material, with Young's modulus
+    ``E = 10**(0.0235 S - 0.64)`` in MPa at the hardness S. The sleeve paper [1]_ uses this
+    relation; Qi et al. [2]_ fitted it to finite elements of the durometer test for S from 20 to 80.
 
     References
     ----------

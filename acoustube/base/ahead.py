@@ -16,8 +16,8 @@ def compile_ahead(compilations: Iterable[Callable[[], None]]) -> Thread:
     Parameters
     ----------
     compilations : iterable of callable
-        Each calls functions with arguments of the types of later calls. Exceptions are
-        dropped: what fails here fails again, and is reported, where the code is needed.
+        Each compiles functions by calling them with arguments of the types of later calls.
+        Exceptions are dropped: what fails here fails again, and is reported, where it is needed.
 
     Returns
     -------

@@ -35,12 +35,12 @@ if TYPE_CHECKING:  # the command line lists and clears without NumPy
 DIGEST = "digest"
 NAME, PREFIX = re.compile("[0-9a-f]{32}"), "acoustube-"
 LIBRARIES = ("ipctk", "pytetwild")
-"""Packages whose versions are part of the key, in addition to acoustube's own code."""
+"""Packages whose versions are part of the key of a result, besides a hash of acoustube's code."""
 CODE = {
     "press": ("acoustube.runs.presses", "acoustube.indentation"),
     "scattering": ("acoustube.runs.sound", "acoustube.runs.surface_scattering", "acoustube.lumen"),
 }
-"""Modules that compute each kind of result; their code and that of their imports is in the key."""
+"""Modules that compute each kind of result; its key depends on their code and their imports'."""
 NOT_FOLLOWED = tuple(
     f"acoustube.{name}."
     for name in (
@@ -51,14 +51,15 @@ NOT_FOLLOWED = tuple(
         "waves.network",
     )
 )  # fmt: skip
-"""Prefixes of modules whose code is not in the key: they prepare settings, which are in the key in
-SI units, read and write files, report, or process results."""
+"""Prefixes of modules whose code is not hashed into the key of a cached result. They prepare
+settings, which the key contains in SI units, read and write files, report, or process results."""
 SOURCES = "sources.json"
 """File of the cache with the digest of each module, so that computing a key takes milliseconds."""
 COMPILED = "compiled-"
 """Start of the names of folders in which JAX keeps machine code."""
 MOST_COMPILED = 4000
-"""Largest number of files in such a folder; each new mesh adds some, of 7 kB on average."""
+"""Largest number of files of machine code for a kind of processor; each new mesh adds some, of 7 kB
+on average."""
 UNUSABLE = (
     "Error reading persistent compilation cache entry",
     "Error writing persistent compilation cache entry",
@@ -183,7 +184,7 @@ def code_digest(root: Path, entries: Sequence[str]) -> str:
 
 
 def _known_sources() -> dict[str, list[Any]]:
-    """Return by path the time of change in ns, size in bytes, digest and imports of modules."""
+    """Return recorded time of change in ns, size in bytes, digest, imports of modules, by path."""
     try:
         known = json.loads((folder() / SOURCES).read_bytes())
         return {path: source for path, source in known.items() if len(source) == 4}
@@ -239,7 +240,7 @@ def holds(name: str) -> bool:
 
 
 def recall(name: str) -> dict[str, NDArray[Any]] | None:
-    """Return the arrays of the entry for a key by name; None if it is missing or damaged."""
+    """Return the arrays, by name, of the entry for a key; None if it is missing or damaged."""
     import numpy as np
 
     try:

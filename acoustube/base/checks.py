@@ -18,7 +18,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 LARGEST = 1e100
-"""Largest magnitude of a sample: squares and sums of such numbers are finite."""
+"""Default largest magnitude of real numbers: squares and sums of such numbers are finite."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,10 @@ class Reals:
     missing : bool
         Whether nan and inf are allowed, as missing values.
     empty : bool
-        Whether an empty array is allowed. One of two or more axes that has no rows, but rows of
-        nonzero length, such as of shape (0, 3), is always allowed.
+        Whether an empty array is allowed. An array of two or more axes whose last axis is not
+        empty, such as one of shape (0, 3), is always allowed.
     kinds : str
-        Allowed values of ``dtype.kind``: ``iu`` for integers, ``U`` for strings.
+        Allowed values of ``dtype.kind``, such as ``iu`` for integers and ``U`` for strings.
     """
 
     low: float = -LARGEST
@@ -57,7 +57,7 @@ class Reals:
     kinds: str = "iufb"
 
     def check(self, name: str, value: Any) -> Any:
-        """Return the value, a list as an array.
+        """Return the value; a list is returned as an array.
 
         Raises
         ------
@@ -139,7 +139,7 @@ class Complex:
     axes: int | None = None
 
     def check(self, name: str, value: Any) -> Any:
-        """Return the value, a list or tuple as an array.
+        """Return the value; a list or tuple is returned as an array.
 
         Raises
         ------
@@ -225,6 +225,7 @@ class Several:
     Parameters
     ----------
     each : rule
+        A class, or an object with a method ``check``, such as a :class:`Number`.
     least : int
         Smallest number of values.
     """

@@ -65,7 +65,7 @@ class SimulationError(RuntimeError):
 
 
 def about(path: object, error: Exception) -> str:
-    """Return the message of an error as one line, preceded by `path` unless it contains that."""
+    """Return an error's message as one line, preceded by `path` unless the message contains it."""
     text = " ".join(str(error).split())
     return text if str(path) in text else f"{path}: {text}"
 
@@ -74,7 +74,7 @@ def short(value: Any) -> str:
     """Return a value as a short text: a number in its shortest exact form, 12 rather than 12.0."""
     if isinstance(value, int) and abs(value) >= 10**MOST_DIGITS:  # more than Python may print
         return f"{'-' if value < 0 else ''}1e{int(log10(abs(value)))}"
-    interval = getattr(getattr(value, "dtype", None), "kind", "") == "m"  # a Real to NumPy
+    interval = getattr(getattr(value, "dtype", None), "kind", "") == "m"  # timedelta64 is a Real
     if isinstance(value, int | str) or not isinstance(value, Real) or interval:
         return _shortened(str(value), LONGEST_WORD)
     return repr(float(value)).removesuffix(".0")

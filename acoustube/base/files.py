@@ -71,7 +71,7 @@ def check_netcdf_name(path: Path) -> None:
 
 
 def check_new_file(path: Path, name: str = "out") -> None:
-    """Raise ConfigError unless a file is new, can have its name, and its folder can be written.
+    """Raise ConfigError unless a file is new, its name is valid, and its folder can be written.
 
     Parameters
     ----------

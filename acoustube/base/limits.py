@@ -6,7 +6,8 @@ CLEARANCE = 0.5
 A press moves the ends of the modelled part outwards by up to 0.1 mm, and leaves them oval.
 """
 JOINED_CLEARANCE = 1.25
-"""`CLEARANCE` of a press whose scattering is computed alone and joined to straight tube.
+"""As `CLEARANCE`, in outer diameters, for a press whose scattering is computed alone and joined to
+straight tube.
 
 The computed part blends into the undeformed tube over one outer diameter, and its straight ends
 begin up to a quarter of the bore farther on.

@@ -25,7 +25,7 @@ BLOCK = 1 << 20
 
 
 class Seal(Enum):
-    """Result of testing a file's checksum; NONE for one of earlier versions or other programs."""
+    """Result of testing a file's checksum; NONE if it has none, as files of other programs."""
 
     INTACT = "intact"
     BROKEN = "broken"

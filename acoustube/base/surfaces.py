@@ -18,11 +18,11 @@ from acoustube.base.units import MM
 FARTHEST = 1e5
 """Largest coordinate of a surface in mm: at 100 m, single precision resolves 0.01 mm."""
 SHORTEST = 1.0
-"""Length in mm below which metres are suspected."""
+"""Length of a surface in mm below which its coordinates are suspected to be in metres."""
 
 
 def load(path: Path) -> trimesh.Trimesh:
-    """Read triangles from an STL, PLY, OBJ or VTP file, with coincident corners merged.
+    """Read triangles, in mm, from an STL, PLY, OBJ or VTP file, with coincident corners merged.
 
     Raises
     ------

@@ -205,7 +205,7 @@ A record is a file of :mod:`acoustube.base.remnants`; None where it could not be
 
 @contextlib.contextmanager
 def aside(path: Path) -> Iterator[Path]:
-    """Yield a temporary name in the folder of `path`; what has that name in the end is removed."""
+    """Yield a temporary path next to `path`; a file or folder left there in the end is removed."""
     hidden = path.absolute().with_name(f"{ASIDE}{uuid.uuid4().hex[:8]}")
     try:
         _begun[hidden] = remnants.register(hidden)

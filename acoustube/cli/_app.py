@@ -26,7 +26,7 @@ COMMANDS = (
     "live", "calibrate", "twin", "invert", "design", "train", "evaluate", "reproduce", "sleeve",
     "check", "cite",
 )  # fmt: skip
-"""Modules of this package that hold a command of their name."""
+"""Commands; each is a function in the module of its name in this package."""
 SETTLED = ("simulate", "indent", "sweep")
 """Commands that take settings, including settings without an option of their own."""
 
@@ -36,7 +36,7 @@ app = App(
     help="Simulate soft acoustic-waveguide touch sensors: silicone tubes that carry ultrasound, in "
     "which a press echoes.",
     default_parameter=Parameter(negative=(), json_list=False, json_dict=False),
-    # An interrupt must reach `main`, which says what became of the run.
+    # An interrupt must reach `main`, which reports what is kept of the run.
     suppress_keyboard_interrupt=False,
 )
 for command in COMMANDS:
@@ -62,7 +62,7 @@ def main(tokens: Sequence[str] | None = None) -> int:
     try:
         with watched_interrupts() as check, _limits_of_one_command():
             if not words or words[0] not in (*COMMANDS, "cache"):
-                for name in (*COMMANDS, "cache"):  # so that the list of them has descriptions
+                for name in (*COMMANDS, "cache"):  # loaded, so that their list has descriptions
                     app[name]
             try:
                 code = app(
@@ -93,7 +93,7 @@ def main(tokens: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def _limits_of_one_command() -> Iterator[None]:
-    """Restore the limits of files at the end; ``--limits`` sets them in the environment."""
+    """Restore the environment variable for limits of files at the end; ``--limits`` changes it."""
     before = os.environ.get(VARIABLE)
     try:
         yield
@@ -167,7 +167,7 @@ def _about_file(error: OSError) -> str:
 
 def _fail(message: str, code: int) -> int:
     """Print one line on standard error and return the exit code."""
-    with suppress(OSError):  # it is closed, or a pipe that nobody reads
+    with suppress(OSError):  # standard error is closed, or a pipe that nobody reads
         sentence = readable(" ".join(message.split()), LONGEST_SENTENCE)
         print(f"acoustube: {sentence}", file=sys.stderr, flush=True)
     return code

@@ -7,7 +7,7 @@ from acoustube.runs.config import Config, Mechanics
 
 
 def print_wall(config: Config | Mechanics, report: Reporter) -> None:
-    """Print the tube's sizes and material."""
+    """Print the tube's sizes or its file, its hardness or shear modulus, and Poisson's ratio."""
     tube = config.tube
     hardness = (
         f"{tube.shore_a:g} Shore A"

@@ -31,26 +31,26 @@ SETTINGS = {
     "frequency": "frequency_khz", "temperature": "temperature_c", "resolution": "resolution",
     "source_end": "source_end", "losses": "losses", "method": "method",
 }  # fmt: skip
-"""Settings by the names of their options."""
+"""Names of settings, by the names of their options."""
 PICTURES = (".png", ".pdf", ".svg")
-"""Endings of the names of pictures."""
+"""File name extensions of pictures."""
 
 
 def whole(kind: Any, tokens: Sequence[Any]) -> int | float:  # noqa: ARG001
-    """Return the whole number that a word states, exactly; 1e6 and 16.0 are whole too.
+    """Return the whole number that a word of the command line states; 1e6 and 16.0 are whole too.
 
     Parameters
     ----------
     kind : type
-        As cyclopts hands it on, unused.
+        Type of the option, unused: cyclopts requires the argument.
     tokens : sequence of cyclopts.Token
         The word, with the option that it belongs to.
 
     Returns
     -------
     int or float
-        A number that is not whole is returned as it is, for the rule of the option to reject it
-        with its range.
+        A number that is not whole is returned as it is. The check of the option then rejects it and
+        states the range.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def settings_of(*groups: Any) -> dict[str, Any]:
 
 
 class Checked:
-    """Group of options, each checked by the rule in its annotation, which states its unit too."""
+    """Group of options that are checked; the annotation of each states its range and unit."""
 
     def __post_init__(self) -> None:
         for name, rule in self._rules():
@@ -145,7 +145,7 @@ class Output(Limits):
     Attributes
     ----------
     quiet : bool
-        Messages off, except errors.
+        Print nothing but errors.
     """
 
     quiet: Annotated[bool, FLAG] = False
@@ -173,7 +173,7 @@ class Tool:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """File of settings, and folder of results, of a single run.
+    """Files of a single run: settings and results.
 
     Attributes
     ----------
@@ -249,7 +249,7 @@ class Recording(Checked):
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Lead:
-    """Start of the send pulse in each cycle, where a recorder starts before it.
+    """Start of the send pulse in each cycle, for a recorder that starts before that pulse.
 
     Attributes
     ----------

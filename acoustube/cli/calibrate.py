@@ -57,7 +57,7 @@ def calibrate(
         TOML file of the rangefinder, which states its carrier and, for a chirp, the pulse to
         compress.
     figure : Path
-        Picture of the fits to write (PNG, PDF or SVG), which must be new.
+        Picture to write (PNG, PDF or SVG) of the fits to amplitudes and distances; must be new.
     """
     if not blocked:
         raise ConfigError("calibrate needs recordings with the tube closed; name one or more")
@@ -135,7 +135,7 @@ def _check_alike(closed: xr.Dataset, free: xr.Dataset, named: str) -> None:
 def _recordings(
     paths: Sequence[Path], options: Recording, lead: Lead, how: Processing
 ) -> list[xr.Dataset]:
-    """Return recordings of one sampling rate and length, time zero at their send pulses."""
+    """Return recordings with time zero at the send pulse, of one sampling rate and length."""
     from acoustube.runs.recordings import read_recordings
 
     found = read_recordings(paths, dataclasses.asdict(options), lead.pulse_at, how)
@@ -155,8 +155,8 @@ def _together(
 ) -> tuple[xr.Dataset, xr.Dataset]:
     """Return the closed and the untouched cycles, each as one dataset, on one axis of time.
 
-    The axis is that of the recording which begins last, up to the earliest end; the samples of the
-    others are those nearest to its times.
+    The axis is that of the recording that begins last, up to the earliest end. Of the other
+    recordings, the samples nearest to these times are taken.
     """
     import xarray as xr
 

@@ -34,22 +34,22 @@ PACKAGES = (
 PURPOSES = {
     "audio": "reads FLAC files",
     "c3d": "reads markers of motion capture",
-    "dask": "sweeps on a cluster",
+    "dask": "runs sweeps on a cluster",
     "parquet": "writes Parquet tables",
     "pardiso": "factorises large meshes faster",
     "robot": "runs `acoustube.sensor.environment` and the gallery's robot arm",
     "serial": "reads the board of `acoustube live`",
 }
-"""Purposes of the optional extras."""
+"""Purpose of each optional extra, by name: the end of a sentence."""
 FOR_OTHERS = ("test", "docs")
-"""Extras that are not reported."""
+"""Extras for the development of acoustube, which are not reported."""
 DRAWING = """\
 import pyvista
 plotter = pyvista.Plotter(off_screen=True, window_size=[64, 64])
 plotter.add_mesh(pyvista.Sphere())
 assert plotter.screenshot(return_img=True).std() > 1
 """
-"""Program in Python that fails unless VTK can draw off screen."""
+"""Python program that fails unless VTK can draw off screen."""
 DRAWING_SECONDS = 120.0
 """Time limit of `DRAWING` in s."""
 HELP_WITH_CACHE = (
@@ -78,7 +78,7 @@ def check(*, json: Annotated[bool, FLAG] = False, output: Output = Output()) -> 
     Parameters
     ----------
     json : bool
-        JSON object instead of a table.
+        Print a JSON object instead of text.
     """
     started = time.perf_counter()
     console = plain_console(quiet=True) if json else output.console()

@@ -28,7 +28,7 @@ def cite(
     /,
     *,
     bibtex: Annotated[bool, FLAG] = False,
-    limits: Limits = Limits(),  # noqa: ARG001  read where files are
+    limits: Limits = Limits(),  # noqa: ARG001  acts through the environment
 ) -> None:
     """List what a publication should cite: the program, and the sources of its methods.
 
@@ -79,7 +79,7 @@ def topics_of(result: Path) -> set[str]:
         with (result / "layout.txt").open("rb") as file:
             fitted = file.read(7) == b"markers"
         return {"arm"} if fitted else set()
-    if result.is_file() and is_zipfile(result):  # as NumPy's archives are, whatever their name
+    if result.is_file() and is_zipfile(result):  # a trained model, under any name
         from acoustube.estimation import load
 
         return set(OF_ESTIMATORS[load(result).name])
@@ -114,7 +114,7 @@ def _of_sweep(result: Path) -> set[str]:
 
 
 def _of_text(text: Any, source: Path) -> set[str]:
-    """Return the topics of a run's methods from its settings as JSON; raise if it has none."""
+    """Return the topics of a run's methods from its settings as JSON; raise if there are none."""
     from acoustube.base.foreign.results import settings_in
 
     with reading(source, "holds no settings of acoustube", "name a result that it wrote"):

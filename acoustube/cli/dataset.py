@@ -25,7 +25,7 @@ class Counts(Checked):
     cycles : int
         Cycles to simulate per case, specimen and session.
     tubes : int
-        Specimens per tube, each with its own irregularities.
+        Specimens of each tube of the sweep, each with its own irregularities.
     sessions : int
         Sessions per specimen, each with its own drift and temperature error.
     seed : int

@@ -24,7 +24,7 @@ class Effort(Checked):
     tubes : int
         Largest number of tubes that are pressed.
     seed : int
-        Random seed of the first tubes.
+        Random seed of the tubes with which the search starts.
     robust : bool
         Also compute how the errors change with bore, hardness and temperature.
     """
@@ -44,7 +44,7 @@ def design(
 ) -> None:
     """Search for tube, transducer and pulse of a sensor that meets a goal.
 
-    Presses and sound of each tube are kept in the cache. To resume an interrupted search, repeat
+    Presses and scattering matrices of each tube are cached. To resume an interrupted search, repeat
     the command.
 
     Parameters

@@ -38,7 +38,7 @@ COLUMNS = (
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Inverted(Checked):
-    """Options of an evaluation of the inversion.
+    """Options of an evaluation of waveform inversion.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ def evaluate(
     Parameters
     ----------
     model : Path
-        File that ``train`` wrote; or folder that ``library`` wrote, to evaluate the inversion.
+        File that ``train`` wrote, or folder that ``library`` wrote, to evaluate waveform inversion.
     data : Path
         Files with cycles and labels, or folders of these; not those used for training.
     out : Path
@@ -208,7 +208,7 @@ def _written(row: Row) -> list[object]:
 
 
 def _print_errors(rows: list[Row], head: str, report: ConsoleReporter) -> None:
-    """Print the errors of all cycles."""
+    """Print the errors over all cycles as a table, by target."""
     from rich.table import Table
 
     from acoustube.estimation.model import TARGETS

@@ -1,4 +1,4 @@
-"""The command ``acoustube invert``: contacts in recordings, by inversion of the forward model."""
+"""The command ``acoustube invert``: contacts in recordings, by inversion of the whole waveform."""
 
 from __future__ import annotations
 
@@ -95,12 +95,12 @@ def invert(
     Parameters
     ----------
     files : Path
-        Recordings in the formats of `process`, in ADC counts; the drive starts at the first sample.
+        Recordings in the formats of `process`, in ADC counts, from the start of the drive.
     library : Path
         Folder that the command library wrote.
     sensor : Path
         TOML file with the parameters of the rangefinder, the tube's length_cm, a table [priors],
-        and a table [wrap] if it is worn on a forearm; by default the sleeve paper's sensor.
+        and a table [wrap] for a tube around a forearm; by default the sleeve paper's sensor.
     untouched : Path
         Recordings of the tube without contact, from which its clutter is estimated.
     out : Path
@@ -175,7 +175,7 @@ class _Files:
     shown : EndsContacts or None
         Group of cycles to draw.
     pending, candidate
-        As `rows` and `shown`, of a recording that is not complete.
+        Like `rows` and `shown`, of the recording in progress.
     """
 
     library: Library

@@ -1,4 +1,4 @@
-"""The command ``acoustube library``: scattering of tools over depth, for the inversion."""
+"""The command ``acoustube library``: scattering of indenters over depth, for ``invert``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Values = list[str] | None
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Tools:
-    """Settings of the tools and of the tube, with one or more values each."""
+    """Settings of the indenters, the tube and the pulse, with one or more values each."""
 
     indenter: Annotated[Values, axis("indenter")] = None
     shape: Annotated[Values, axis("shape")] = None

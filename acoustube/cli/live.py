@@ -1,4 +1,4 @@
-"""The command ``acoustube live``: distances from a board's cycles, as they arrive."""
+"""The command ``acoustube live``: distances from the cycles of a board, as they arrive."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 REFRESH = 0.1
 """Refresh interval of the panel in a terminal, in s."""
 BARS, FLOOR_DB, TRACE = " ▁▂▃▄▅▆▇█", -40.0, 60
-"""Trace of an envelope: characters from low to high, level of the lowest in dB, and width."""
+"""Trace of an envelope in text: characters from low to high, level of the lowest in dB relative to
+the send pulse, and width in characters."""
 
 
 @Parameter(name="*")
@@ -43,7 +44,7 @@ class Line(Checked):
     rate : float
         Sampling rate in Hz.
     frame_bytes : int
-        Bytes of a frame, including the two of the pulse width.
+        Bytes of a frame (one cycle), including two that state the pulse width.
     baud : int
         Bit rate of the line in bit/s.
     """
@@ -61,7 +62,7 @@ class Line(Checked):
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Inverted(Checked):
-    """Options of contacts by inversion.
+    """Options of the search for contacts by waveform inversion.
 
     Attributes
     ----------
@@ -227,7 +228,7 @@ def _found(ranging: signals.Ranging) -> str:
 
 
 def trace(envelope: Any, width: int = TRACE) -> str:
-    """Return an envelope, (time,), as a row of bars, lowest at 40 dB below the send pulse."""
+    """Return an envelope, (time,), as a text of bars; the lowest is 40 dB below the send pulse."""
     import numpy as np
 
     starts = np.linspace(0, envelope.size, width, endpoint=False).astype(int)

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from acoustube.signals import Processing
 
 UNCALIBRATED = (
-    "without a calibration distances are from the maximum of the send pulse and may be some "
-    "centimetres off; acoustube calibrate makes one"
+    "without a calibration, distances are measured from the maximum of the send pulse and may be "
+    "wrong by some centimetres; acoustube calibrate makes a calibration"
 )
 LOUD = 1.5
 """Echo amplitude relative to the send pulse above which a note says that the recorder may have
@@ -53,7 +53,7 @@ def process(
     out : Path
         Table to write (CSV), which must be new; standard output if not given.
     figure : Path
-        Picture to write (PNG, PDF or SVG): the first cycle with an echo, and a waterfall around it.
+        Picture to write (PNG, PDF or SVG): the first cycle with an echo, and cycles around it.
     """
     if not files:
         raise ConfigError("process needs a file or a folder; name one or more")
@@ -88,7 +88,7 @@ def process(
                 failures += 1
                 failure(about(path, error), "not processed")
                 continue
-            writer.writerows([*header, *found.rows])  # as a whole, or not at all
+            writer.writerows([*header, *found.rows])  # all rows of a file, or none
             header = []
             n_cycles, n_found = n_cycles + len(found.rows), n_found + found.n_detected
             _note_recording(path, data, found, begins, report)
@@ -108,7 +108,7 @@ def process(
 def _note_recording(
     path: Path, data: xr.Dataset, found: Processed, begins: float | None, report: Reporter
 ) -> None:
-    """Report the limits of a recording, and the start of its send pulse in s, where given."""
+    """Report notes on a recording; `begins` is the start of its send pulse in s, if known."""
     notes = str(data.attrs.get("warnings", "")).splitlines()
     if begins is not None:
         notes.append(f"the send pulse starts {MS * begins:.3f} ms after the first sample")
@@ -124,7 +124,10 @@ def _note_recording(
 def _drawn(
     data: xr.Dataset, settings: Processing, first: int, ranging: signals.Ranging, figure: Path
 ) -> bytes:
-    """Return a picture of some cycles, the first of number `first`, and of one with an echo."""
+    """Return a picture of the first cycle with an echo, and of the piece of a recording around it.
+
+    `ranging` is the result of that piece, whose first cycle has the index `first`.
+    """
     import numpy as np
     from matplotlib.figure import Figure
 

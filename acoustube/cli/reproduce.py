@@ -1,4 +1,4 @@
-"""The command ``acoustube reproduce``: published studies, one after another, and their report."""
+"""The command ``acoustube reproduce``: published studies, repeated by simulation."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ STUDIES = {
 }  # fmt: skip
 """Studies in their order, and minutes that each takes on two cores with an empty cache."""
 SPEED_UP = 12.0
-"""Computing time of a full study over that of a quick one."""
+"""Ratio of the computing times of a full and a quick study."""
 MARK, WORK = "reproduce.json", "work"
 """Names of the file that marks the folder of a report, and of the folder of its computations."""
 
@@ -119,7 +119,7 @@ def _performed(name: str, folder: Path, scale: Scale, report: Reporter) -> Study
 
 
 def _prepared(out: Path, scale: Scale) -> Path:
-    """Return the folder of the report, which contains nothing else."""
+    """Return the folder of the report: a new one, or one begun with the same options."""
     folder, mark = out.expanduser().resolve(), {"quick": scale.quick, "version": __version__}
     if (folder / MARK).is_file():
         if _begun_with(folder / MARK) != mark:
@@ -155,7 +155,7 @@ def _write_index(folder: Path) -> None:
 
 
 def _print(study: Study, report: ConsoleReporter) -> None:
-    """Print the numbers of a study that have a published one."""
+    """Print the published numbers of a study next to the computed ones."""
     from rich.table import Table
 
     from acoustube.reports.studies.report import plain

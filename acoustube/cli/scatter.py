@@ -98,7 +98,7 @@ class Medium(Checked):
     pressure : float
         Air pressure in kPa.
     lossless : bool
-        Losses at the wall and in the air left out.
+        Omit the losses at the wall and in the air.
     """
 
     temperature: Annotated[float, Number(-20, 60, "degC", "of the air")] = 20.0
@@ -232,12 +232,12 @@ def _marched(
             cells, air, task.frequency, reference=(-start, -start),
             lossy=not task.medium.lossless, progress=progress,
         )  # fmt: skip
-        keep(name, found, f"sound of {task.path.name}")  # a full disk does not cost it
+        keep(name, found, f"sound of {task.path.name}")  # skipped if the disk is full
     return found, _notes(cells, found, air)
 
 
 def _name(surface: Any, start: float, task: _Task) -> str:
-    """Return the cache key of the scattering matrix."""
+    """Return the cache key of the matrix; the surface in the file begins at z = `start` in m."""
     shape = sha256(surface.vertices.tobytes() + surface.faces.tobytes()).hexdigest()
     return cache.key(
         "scattering",

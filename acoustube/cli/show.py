@@ -24,9 +24,9 @@ def show(
 ) -> None:
     """Draw results as a figure, or as an interactive page.
 
-    The figure of a sweep has force, echo and error over depth, and the echoes; that of a run is the
-    one in its folder. The page is one file that opens in any browser, without a network: a slider
-    over the depth moves the tube, its section, the lumen's area, the signal and the reflection.
+    The figure of a sweep has force, highest echo, distance error and envelopes over depth; that of
+    a run is the one in its folder. The page is one file that opens in any browser, without a
+    network: a slider over the depth changes tube, section, lumen area, signal and reflection.
 
     Parameters
     ----------

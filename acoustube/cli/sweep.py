@@ -1,4 +1,4 @@
-"""The command ``acoustube sweep``: presses of many tubes, positions, tools and depths."""
+"""The command ``acoustube sweep``: presses of many tubes, positions, indenters and depths."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from acoustube.base.report import Reporter
 
 LOOKED_UP = 20_000
-"""Largest number of cases of a plan of which a dry run checks every case."""
+"""Largest number of cases of a plan for which a dry run checks every case."""
 SAMPLED = 2000
-"""Largest number of cases of a larger plan that a dry run checks."""
+"""Largest number of cases that a dry run checks of a larger plan, evenly spaced in it."""
 Values = list[str] | None
 
 
@@ -90,11 +90,11 @@ class Execution:
         Part of the plan to compute, for job arrays: 3/40 is the third of 40 parts. All parts write
         to the same folder.
     dask : str
-        Address of the scheduler of a running Dask cluster, in place of processes.
+        Address of the scheduler of a running Dask cluster, in place of local processes.
     retry : str
         Cases to compute again: ``failed``.
     dry_run : bool
-        List of cases, cached results and expected costs; nothing is computed.
+        Report the cases, their cached results and the expected cost; compute nothing.
     """
 
     out: Path | None = None

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 OVERFITTED = 0.02
 """Relative rise of the validation loss above its minimum from which fewer epochs are advised."""
 EARLY_EPOCHS = ("1", "2", "5")
-"""Leading digit of the epochs after which losses are printed: 1, 2, 5, 10, 20 and so on."""
+"""Digits, without final zeros, of the epochs whose losses are printed: 1, 2, 5, 10, 20, ..."""
 
 
 @Parameter(name="*")

@@ -18,7 +18,7 @@ from acoustube.estimation.trees import export_trees, predict_trees
 from acoustube.estimation.uncertainty import Folds, Report
 
 MIN_SCALE = 0.05
-"""Least scale of an error that is predicted, relative to the median absolute held-out residual."""
+"""Lower bound of predicted scales, relative to the median absolute residual of held-out rows."""
 
 
 @dataclass(kw_only=True, eq=False, repr=False)

@@ -9,9 +9,8 @@ estimator trained on presses at one distance can therefore be applied at another
 is selected by its level over the background: the clutter of the tube's irregularities, attenuated
 as echoes are, and a constant noise.
 
-The thresholds were chosen by hand on simulated cycles of the default rangefinder
-(:mod:`acoustube.ranging`). They are part of the definition of the features: changing one requires a
-new format of model files.
+The thresholds were chosen by hand on simulated cycles of the default rangefinder. They are part of
+the definition of the features: changing one requires a new format of model files.
 """
 
 from __future__ import annotations
@@ -48,32 +47,33 @@ from acoustube.signals.peaks import strongest_echo
 from acoustube.waves.modes import axial_wavenumber
 
 PEAK_FEATURES = ("amplitude", "distance")
-"""Names of the features of the strongest peak, relative to the send pulse and in m."""
+"""Features of the strongest peak: amplitude relative to the send pulse, and distance in m."""
 LABELS = (
     "true_distance", "depth", "force", "diameter", "press", "tube", "session", "shape",
     "lumen_area",
 )  # fmt: skip
 """Names of labels of cycles: targets of the estimators, and groups of cycles."""
 CYCLES_PER_CHUNK = 250
-"""Cycles whose features are computed at once: 8 MB of double precision per step."""
+"""Number of cycles whose features are computed at once, in arrays of 8 MB of double precision."""
 THREADS = 2
 BORE_RADII = Reals(1e-4, 1.0, "m")
 
 WINDOW_BEFORE, WINDOW_AFTER = 0.8e-3, 1.6e-3
-"""Window in s around the strongest echo: an echo lasts 0.5 ms, and trapped sound leaks later."""
+"""Window in s around the strongest echo: an echo lasts 0.5 ms, and trapped sound arrives later."""
 TAPER_FRACTION = 0.2
-"""Fraction of the window over which its taper rises, and falls."""
+"""Fraction of the window over which its taper rises, and over which it falls."""
 SPECTRUM_HALF_WIDTH, SPECTRUM_STEP = 3.5e3, 500.0
 """Half the width of the band around the carrier, and the frequency step, in Hz: the transducer's
 bandwidth is 3 kHz, and the window resolves 400 Hz."""
 ENVELOPE_DELAYS = np.delete(np.arange(-6, 13), 6) * 1e-4
-"""Delays in s of the envelope's samples after the strongest echo; zero is left out."""
+"""Delays in s of the envelope's samples relative to the strongest echo; zero is left out."""
 LEAST_AMPLITUDE = 1e-6
 """Lower bound of amplitudes, relative to the send pulse: under a hundredth of an ADC count."""
 FIRST_ECHO_RATIO, FIRST_ECHO_REACH = 0.5, 0.25
-"""Smallest amplitude of a press's first echo relative to its strongest, and largest lead in m."""
+"""Smallest amplitude of a press's first echo relative to its strongest one, and largest distance in
+m by which it is nearer."""
 NOISE_MAXIMUM = 3.0
-"""Maximum of the noise in a window over its median: lower peaks are not echoes."""
+"""Assumed ratio of the maximum of the noise to its median: lower peaks are not echoes."""
 LEAST_PROMINENCE = 0.5
 """Smallest prominence of an echo, relative to the background."""
 N_OTHER_ECHOES = 2
@@ -177,7 +177,7 @@ def names(settings: FeatureSettings) -> tuple[str, ...]:
 
 
 def _radii(cycles: xr.Dataset, default: float) -> Array:
-    """Return the bore's radius of each cycle in m: of a label, the recording, or the default."""
+    """Return the bore's radius of each cycle in m: a label, the recording's, or the default."""
     if "bore_radius" in cycles:
         given = cycles["bore_radius"].values
     elif "inner_diameter" in cycles and cycles["inner_diameter"].attrs.get("units") == "m":
@@ -248,9 +248,9 @@ def echo_features(
     -----
     With the plane mode's attenuation a, the envelope e at distance l has the level e exp(2 a l) at
     the reflector. The noise n is the median of e after the search window, or within it if hardly
-    any sample comes after it. The clutter k is the median level of the window's samples over 3 n,
-    or of those at its start if none is. The background is hypot(k exp(-2 a l), 3 n). It replaces a
-    time gain fitted to closures: it follows from the physics and from the cycle itself.
+    any sample comes after it. The clutter k is the median level of the window's samples whose e
+    exceeds 3 n, or of those at its start if none does. The background is hypot(k exp(-2 a l), 3 n).
+    It replaces a time gain fitted to closures: it follows from the physics and the cycle itself.
     """
     ranging = locate(
         time, signal, replace(settings, gain=None, prominence=1.0), temperature=temperature

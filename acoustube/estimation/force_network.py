@@ -21,10 +21,10 @@ from acoustube.estimation.uncertainty import Folds, Report
 
 @dataclass(kw_only=True, eq=False, repr=False)
 class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
-    """Fully connected 64-64-1 networks, one per fold, weighted by their validation losses.
+    """Fully connected 64-64-1 networks, one per fold, weighted by inverse validation losses.
 
-    Leaky ReLU, He's initialisation, inputs and outputs standardised on each fold's training rows,
-    Adam, mean squared error: as published.
+    As published, they have leaky ReLU and He's initialisation, inputs and outputs are standardised
+    on each fold's training rows, and Adam minimises the mean squared error.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class ForceNetwork(uncertainty.Conformal, RegressorMixin, BaseEstimator):
         return np.asarray(scales.y_mean + scales.y_deviation * out)
 
     def _deviation(self, estimate: Array, every: Array) -> Array:
-        """Return the scale of estimates (row,): spread of the folds with the typical residual."""
+        """Return scales (row,): root sum of squares of folds' spread and typical residual."""
         mean = self.weights_ @ every
         between = np.sqrt(self.weights_ @ (every - mean) ** 2)
         return np.hypot(between, np.interp(estimate, *self.scale_))

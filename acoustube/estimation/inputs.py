@@ -32,7 +32,7 @@ SETTINGS = {
 
 
 def check_settings(estimator: Any) -> None:
-    """Raise ConfigError unless an estimator's parameters are in range; 3.0 becomes 3 in place."""
+    """Raise ConfigError unless an estimator's parameters are in range; store 3.0 as the int 3."""
     for name, value in estimator.get_params().items():
         if name in SETTINGS:
             found = check_argument(name, value, SETTINGS[name])
@@ -81,7 +81,8 @@ def check_rows(X: Any, y: Any) -> tuple[Array, Array]:
     targets = targets[:, None] if targets.ndim == 1 else targets
     if targets.ndim != 2 or len(targets) != len(x):
         raise ConfigError(
-            f"y has shape {np.shape(y)} and X {np.shape(X)}; give one row of targets for each row"
+            f"y has shape {np.shape(y)} and X {np.shape(X)}; give one row of targets for each row "
+            "of X"
         )
     if bad := int(np.sum(~np.isfinite(targets).all(axis=1))):
         raise ConfigError(
@@ -89,8 +90,8 @@ def check_rows(X: Any, y: Any) -> tuple[Array, Array]:
         )
     if len(x) < MIN_ROWS:
         raise ConfigError(
-            f"X has {len(x)} rows, too few to train with; record {MIN_ROWS} cycles with an echo "
-            "or more"
+            f"X has {len(x)} rows, too few to train with; record {MIN_ROWS} or more cycles with "
+            "an echo"
         )
     for column, values in enumerate(targets.T):
         if is_constant(values):

@@ -32,7 +32,7 @@ TARGETS = {"true_distance": "distance", "depth": "depth", "force": "force"}
 UNITS = {"true_distance": "m", "depth": "m", "force": "N"}
 """Units of the labels, and of their estimates."""
 WIDE = 0.9
-"""Coverage of the wider interval of an estimate; the narrower has that of a standard deviation."""
+"""Coverage of the wider of an estimate's two intervals; that of the narrower one is 68 %."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,9 +125,9 @@ def train(
     by : str
         Groups held out together; see :func:`acoustube.estimation.splits.groups`.
     seed : int
-        Random seed of folds, initial weights and order.
+        Random seed of folds, initial weights and order of the rows.
     progress : callable, optional
-        As the estimator's ``fit`` takes it.
+        Passed to the estimator's ``fit``.
     **settings
         Parameters of the estimator.
 
@@ -182,7 +182,7 @@ def _check_table(table: xr.Dataset) -> None:
 
 
 def _check_features(name: str, table: xr.Dataset, settings: FeatureSettings) -> None:
-    """Raise ConfigError unless a table has the features that an estimator takes, and settings."""
+    """Raise ConfigError unless an estimator takes the settings' features and a table has them."""
     kind = kind_of_features(name)
     if settings.kind != kind:
         raise ConfigError(
@@ -237,7 +237,7 @@ def estimate(model: Model, table: xr.Dataset) -> xr.Dataset:
         shape = (len(rows), len(model.targets))
         found[:, seen] = np.stack([a.reshape(shape) for a in (middle, deviation, wide)])
         if not np.isfinite(found[:, seen]).all():
-            raise ConfigError("its estimates of these cycles are not finite; train it again")
+            raise ConfigError("the model's estimates are not finite; train it again")
     variables = {}
     for column, target in enumerate(model.targets):
         name, unit = TARGETS[target], UNITS[target]

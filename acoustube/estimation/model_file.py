@@ -1,8 +1,8 @@
 """Files of models: NumPy arrays and one line of JSON, read without pickle.
 
-The arrays are validated before use. skops.io was considered for the trees: it stores scikit-learn's
-private node type under a whitelist, but does not validate the nodes, with which a crafted file
-could make the evaluation endless, and depends on the version of scikit-learn that wrote them.
+The arrays are validated before use. skops.io was considered for the trees. It does not validate
+their nodes, so that a crafted file could make the evaluation endless, and it depends on the version
+of scikit-learn that wrote them.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Arrays = dict[str, NDArray[Any]]
 FORMAT = 1
 """Version of the format; raised when the stored arrays, or the definition of features, change."""
 KIND = "acoustube model"
-"""Word by which a file's header is known as that of a model."""
+"""Words that identify a file's header as that of a model."""
 ORIGIN = ("cycles", "trained", "by")
 """Keys of a model's ``origin``: what it was trained with."""
 RATE = Number(1e3, 1e8, "Hz", "samples per second")
@@ -246,4 +246,4 @@ def _shaped(arrays: Arrays, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
     array = arrays[name]
     if array.shape != shape or array.dtype.kind != "f" or not np.isfinite(array).all():
         raise ValueError(f"its {name} of shape {array.shape} should be {shape} finite numbers")
-    return array.astype(np.float32 if array.dtype.itemsize <= 4 else float)  # in native order
+    return array.astype(np.float32 if array.dtype.itemsize <= 4 else float)  # in native byte order

@@ -18,7 +18,7 @@ from acoustube.base.rules import Number
 Index = NDArray[np.intp]
 
 KINDS = ("cycle", "session", "tube")
-"""Groups that a split can keep together."""
+"""Kinds of groups of cycles that a split can keep together."""
 
 
 @checked(cycles=xr.Dataset, by=str)
@@ -116,7 +116,7 @@ def split(groups: ArrayLike, share: float = 0.2, seed: int = 0) -> tuple[Index, 
     ----------
     groups : array of int of shape (n,)
     share : float
-        Fraction of the groups for the test: at least one, and at least one for training.
+        Fraction of the groups for the test. At least one group is for the test, one for training.
     seed : int
         Random seed of the choice.
 

@@ -33,7 +33,7 @@ LEVELS = np.append(np.arange(1, 100) / 100, 0.995)
 ONE_DEVIATION = 0.6827
 """Coverage of one standard deviation of a normal variable."""
 MAX_BINS, ROWS_PER_BIN = 20, 30
-"""Largest number of bins of :func:`residual_scale`, and rows that a further bin needs."""
+"""Largest number of bins of :func:`residual_scale`, and least number of rows in each of several."""
 
 
 def conformal_quantiles(residual: ArrayLike, scale: ArrayLike) -> Array:
@@ -128,7 +128,7 @@ class Conformal:
     n_folds: int
     seed: int
     quantiles_: Array
-    _flat = False  # whether the training targets had one axis, as then the estimates have
+    _flat = False  # whether the training targets have one axis; then the estimates have one too
 
     def fit(
         self,

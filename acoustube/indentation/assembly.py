@@ -47,11 +47,11 @@ class Model:
     mesh : Mesh
     material : Material
     elements : array of int, shape (n_blocks, n_block, n_local)
-        Nodes of the wall's elements; the last element is repeated.
+        Nodes of the wall's elements; the last element is repeated to fill the last block.
     rules : tuple of Quadrature
         Quadrature of the blocks of elements; the weights of repeated elements are zero.
     outer_faces : array of int, shape (n_blocks, n_block, n_face_nodes)
-        Nodes of the outer faces; the last face is repeated.
+        Nodes of the outer faces; the last face is repeated to fill the last block.
     outer_areas : array of shape (n_blocks, n_block, n_points)
         Undeformed area in m2 of the outer faces' quadrature points, zero for repeated faces.
     pattern : Pattern
@@ -59,7 +59,7 @@ class Model:
     lumen : SelfContact
         Contact of the inner wall with itself.
     wrinkle_stiffness : sparse array of shape (3 n_nodes, 3 n_nodes)
-        In N/m; see :func:`acoustube.indentation.wrinkle_penalty.stiffness`.
+        Of :func:`acoustube.indentation.wrinkle_penalty.stiffness`, in N/m.
     """
 
     mesh: Mesh
@@ -79,7 +79,7 @@ class Model:
 
     @cached_property
     def analysis(self) -> Analysis:
-        """Order in which the unknowns are eliminated."""
+        """Order in which a factorisation of the stiffness matrix eliminates the unknowns."""
         return Analysis(self.mesh.points[np.nonzero(self.free)[0]])
 
     @property
@@ -89,7 +89,7 @@ class Model:
 
 
 def _weights_of_mesh(blocks: list[Array], n_rows: int) -> Array:
-    """Stack the weights of blocks, (n_blocks, n_block, ...), with zeros for repeated rows."""
+    """Stack the quadrature weights of blocks, (n_blocks, n_block, ...), zero in repeated rows."""
     weights = np.stack([np.asarray(block) for block in blocks])
     for block, count in zip(weights, counts_of_blocks(n_rows), strict=True):
         block[count:] = 0.0
@@ -108,7 +108,7 @@ def build_model(
     lumen: SelfContact,
     wrinkle_stiffness: sparse.csr_array | None = None,
 ) -> Model:
-    """Discretise a tube.
+    """Return the finite-element model of a tube.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def build_model(
     lumen : SelfContact
         Contact of the inner wall with itself.
     wrinkle_stiffness : sparse array of shape (3 n_nodes, 3 n_nodes), optional
-        In N/m; zero by default.
+        Stiffness matrix of the wrinkle penalty, in N/m; zero by default.
     """
     face, n_components = mesh.face, mesh.points.size
     if wrinkle_stiffness is None:
@@ -210,7 +210,7 @@ def _wall_of(model: Model, displacement: Array) -> tuple[Array, Array]:
 
 
 def _faces(model: Model, position: Array) -> Iterator[tuple[Array, Array]]:
-    """Iterate over blocks of outer faces: node positions in m, undeformed point areas in m2."""
+    """Iterate over blocks of outer faces: nodes in m, undeformed areas of their points in m2."""
     return zip((position[block] for block in model.outer_faces), model.outer_areas, strict=True)
 
 
@@ -225,8 +225,8 @@ def stiffness(
         As for :func:`evaluate`.
     convex : bool
         Leave out the terms that are the first to make the tangent indefinite: the geometric
-        stiffness of the pressure in the wall, and the negative eigenvalues of the self-contact
-        barrier.
+        stiffness of the pressure in the wall, and the negative eigenvalues of the stiffness of
+        the self-contact barrier.
 
     Returns
     -------

@@ -23,12 +23,12 @@ from acoustube.indentation.reference_element import TET10, edges
 from acoustube.indentation.wall_surface import Walls, closest
 
 ENVELOPE = 1 / 25
-"""Largest distance of the linear tetrahedra from the surface, in wall thicknesses.
+"""Largest distance of the boundary of the linear tetrahedra from the wall, in wall thicknesses.
 
-Their corners are then projected onto the surface; a narrower envelope only forces small elements
-at the bore."""
+The nodes of the boundary are then projected onto the wall; a narrower envelope only forces small
+elements at the bore."""
 MIN_JACOBIAN_RATIO = 0.2
-"""Smallest allowed Jacobian of an element with curved edges, over that of the straight element."""
+"""Smallest allowed Jacobian determinant of an element with moved nodes, over that before."""
 ON_SURFACE = 1e-3
 """Largest distance at which a node counts as lying on a wall or plane, in wall thicknesses."""
 MIN_NORMAL_COSINE = 0.7
@@ -83,7 +83,7 @@ def quadratic(
     whole : Walls
         Surfaces of the inner and the outer wall.
     halved : tuple of bool
-        Symmetry planes x = 0 and z = 0 of the piece.
+        Whether x = 0, and whether z = 0, is a symmetry plane of the piece.
 
     Returns
     -------
@@ -133,7 +133,7 @@ def quadratic(
 
 
 def _mid_edge_nodes(tetrahedra: Index, n_points: int) -> tuple[Index, Index]:
-    """Return the ends (n_edges, 2) of every edge, and the mid-edge nodes (n_tetrahedra, 6)."""
+    """Return node numbers: ends of the edges (n_edges, 2), mid-edge nodes (n_tetrahedra, 6)."""
     ends = np.sort(tetrahedra[:, edges(3)].reshape(-1, 2), axis=1)
     pairs, number = np.unique(ends, axis=0, return_inverse=True)
     return pairs, n_points + number.reshape(-1, 6)
@@ -225,9 +225,9 @@ def limit_distortion(start: Array, target: Array, elements: Index) -> Array:
     Returns
     -------
     array of shape (n_nodes, 3)
-        In m. Elements have at least `MIN_JACOBIAN_RATIO` times their Jacobian at the start. Those
-        that are flat at the start stay flat; :func:`acoustube.indentation.tetrahedra.qualities`
-        finds them.
+        In m. Elements have at least `MIN_JACOBIAN_RATIO` times their Jacobian determinant at the
+        start. Those that are flat at the start stay flat;
+        :func:`acoustube.indentation.tetrahedra.qualities` finds them.
     """
     least = MIN_JACOBIAN_RATIO * jacobians(start, elements[:, :4])[:, 0]
     moved = target.copy()
@@ -251,8 +251,8 @@ def jacobians(points: Array, elements: Index) -> Array:
     Returns
     -------
     array of shape (n_elements, n)
-        In m3. Quadratic elements: at the 10 nodes, then at the 4 quadrature points. Linear
-        elements: n = 1.
+        In m3. For quadratic elements n is 14: at the 10 nodes, then at the 4 quadrature points.
+        For linear elements n is 1.
     """
     if elements.shape[1] == 4:
         sides = points[elements[:, 1:]] - points[elements[:, :1]]

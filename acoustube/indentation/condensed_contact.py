@@ -32,21 +32,23 @@ from acoustube.indentation.multifrontal import MultifrontalFactor
 from acoustube.indentation.padding import padded
 
 LARGEST_ZONE = 1000
-"""Largest number of unknowns of the zone; beyond it, a step linearises the contact as well."""
+"""Largest number of unknowns of the zone (the nodes whose contact changes); a step that needs a
+larger one linearises the contact as well."""
 ROUNDS = 6
-"""Largest number of extensions of the zone in one step."""
+"""Largest number of times that one step extends the zone, the nodes whose contact changes."""
 NEGLIGIBLE = 1e-4
 """Largest nonlinear part of the change of a face's contact forces, relative to the norm of the
-residual, at which the face stays out of the zone."""
+residual, at which the contact of the face is linearised."""
 ITERATIONS = 30
-"""Largest number of Newton iterations on the contact problem of the zone."""
+"""Largest number of semismooth Newton iterations on the contact problem of a step."""
 PRECISION = 1e-4
-"""Tolerance of the zone's displacements, relative to the largest one of the linear step.
+"""Largest error of the displacements that solve the contact problem of a step, relative to the
+largest displacement of the linear step at the nodes whose contact changes.
 
 A smaller tolerance gains nothing: with the linearised wall a step lowers the residual 5 to 20 times
 at most."""
 HALVINGS = 6
-"""Largest number of lengths tried for a Newton step on the zone, each half the last."""
+"""Largest number of lengths tried for a Newton step on the contact problem, each half the last."""
 
 _gaps = jax.jit(contact.gaps, static_argnames="face")
 _pressures = jax.jit(contact.pressures)
@@ -77,7 +79,7 @@ class CondensedContact:
     _compliance: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Linearise the gaps at the state, and begin with an empty zone."""
+        """Linearise the gaps of contact at the state; no node is in the zone yet."""
         touch = self._touch(self.displacement)
         self._normal, self._stiffness = touch.normal, self._laws(touch.gap, touch.area)[1]
         self._number = np.where(
@@ -98,8 +100,8 @@ class CondensedContact:
         Returns
         -------
         array of shape (n_free,)
-            In m. The linear step of the factor instead, if the zone becomes too large, its contact
-            problem is not solved, or the energy would not fall along the step.
+            In m. The step with linearised contact instead, if the zone becomes too large, its
+            contact problem is not solved, or the energy would not fall along the step.
         """
         linear = -self.factor(state.gradient)
         touch = self._touch(state.displacement)
@@ -132,10 +134,9 @@ class CondensedContact:
         Notes
         -----
         Let D be the change of the zone's contact stiffness. The tangent is positive definite if
-        the factorised one is, and the Schur complement of the zone, the inverse of its compliance
-        plus D, is as well. The latter holds if ``I + L^T D L`` is positive definite, with the
-        Cholesky factor L of the compliance. On a layer, the change of the covered area is left out
-        of D.
+        the factorised one is, and if the Schur complement of the zone is as well, which is the
+        inverse of the compliance plus D. This holds if ``I + L^T D L`` is positive definite, with
+        the Cholesky factor L of the compliance. On a layer, D omits the change of the covered area.
         """
         if not self._zone.size:
             return True
@@ -149,14 +150,14 @@ class CondensedContact:
         return True
 
     def _touch(self, displacement: Array) -> Touch:
-        """Return gaps, their gradients and areas in m2 (body, face, point) at the wall's points."""
+        """Return gaps in m, their gradients, and areas in m2, at the faces' quadrature points."""
         mesh = self.model.mesh
         faces = (mesh.points + displacement)[self._nodes]
         touch = _gaps(padded(faces), padded(self._areas), mesh.face, self.bodies)
         return Touch(*(np.asarray(part)[:, : len(faces)] for part in touch))
 
     def _laws(self, gap: Array, area: Array) -> tuple[Array, Array]:
-        """Return force in N (negative) and stiffness in N/m of each gap, (body, face, point)."""
+        """Return minus the contact force in N, and its stiffness in N/m, (body, face, point)."""
         faces = np.moveaxis(gap, 1, 0)
         slope, bend = _pressures(np.moveaxis(padded(faces), 0, 1), self.bodies)
         count = len(faces)
@@ -173,9 +174,10 @@ class CondensedContact:
         return change
 
     def _excess(self, touch: Touch, before: Array, closing: Array) -> tuple[Array, Array]:
-        """Return the nonlinear part of the change of the forces in N, and stiffnesses in N/m.
+        """Return the nonlinear part of the contact forces' change in N, and stiffnesses in N/m.
 
-        The areas are those of `touch`: their change enters by the tangent alone.
+        Both are (body, face, point). The areas are those of `touch`: only the factorised tangent
+        includes their change.
         """
         force, stiffness = self._laws(touch.gap + closing, touch.area)
         return force - before - self._stiffness * closing, stiffness
@@ -183,7 +185,7 @@ class CondensedContact:
     def _extended(self, faces: Index) -> bool:
         """Add the unknowns of faces to the zone, or return False if it would become too large."""
         at_faces = np.union1d(self._faces, faces)
-        # A body touches nodes in the direction of its normal: a rod's has no x component.
+        # Contact forces are along the body's normal, which has no x component for a rod.
         across = np.abs(self._normal[:, at_faces]).max(axis=(0, 1, 2)) > 0
         used = np.unique(self._number[self._nodes[at_faces]][..., across])
         numbers = used[used >= 0]
@@ -241,7 +243,7 @@ class CondensedContact:
         return total[self.model.free]
 
     def _zone_stiffness(self, stiffness: Array) -> Array:
-        """Return the change of the zone's stiffness matrix from that in the factorised tangent."""
+        """Return the contact stiffness of the zone minus that in the factorised tangent, in N/m."""
         at, shapes, size = self._faces, self._shapes, len(self._zone)
         normal, change = self._normal[:, at], (stiffness - self._stiffness)[:, at]
         at_points = np.einsum("bfq,bfqi,bfqj->fqij", change, normal, normal, optimize=True)
@@ -268,7 +270,7 @@ class CondensedContact:
 
     @property
     def _nodes(self) -> Index:
-        """Nodes of the outer faces of all blocks, (n_faces, n_face_nodes); repeats included."""
+        """Nodes of the outer faces, (n_faces, n_face_nodes), with the repeats of the last block."""
         blocks = self.model.outer_faces
         return blocks.reshape(-1, blocks.shape[-1])
 

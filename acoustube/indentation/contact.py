@@ -32,11 +32,11 @@ CONTACT_SMOOTHING = 3e-4
 """Half width of the smoothed contact onset, in wall thicknesses (0.5 um in the default tube).
 
 The tube's initial stiffness is 0.47 N/mm: an onset wider by 4 um at the indenter and at the ground
-would change the force at 0.25 mm by 3 %."""
+would change the force at a depth of 0.25 mm by 3 %."""
 VERTICAL_SMOOTHING = 0.1
-"""Half width of the smoothed onset of :func:`covered_area`, per undeformed area.
+"""Largest absolute projected area, per undeformed area, at which :func:`covered_area` is smoothed.
 
-A wall that does not stretch is within 6 degrees of the vertical where the onset is smoothed."""
+There a wall that does not stretch is within 6 degrees of the vertical."""
 UP = np.array([0.0, 1.0, 0.0])
 """Unit vector against the direction of the press."""
 
@@ -79,8 +79,8 @@ def covered_area(projected: Array) -> Array:
     The positive part of `projected`: where the wall faces up, the surface below it is already
     covered by a lower part of the wall. It is smoothed by :data:`VERTICAL_SMOOTHING`, because the
     forces would jump where a wall becomes vertical. The smoothing does not affect a rigid round
-    tube up to a settlement of 0.9 radii. Of a fold that lies one above the other, both parts that
-    face down count.
+    tube up to a settlement of 0.9 radii. Where folds lie one above the other, each part that faces
+    down is counted.
     """
     return smoothed_positive_part(projected, VERTICAL_SMOOTHING)
 
@@ -208,12 +208,12 @@ def _basis(face: Reference) -> Array:
 
 
 def _per_area(area: Array, face: Reference) -> Array:
-    """Return the reciprocal of the undeformed area per area of the reference face, in 1/m2."""
+    """Return the area of the reference face per undeformed area at the points, in 1/m2."""
     return face.weights / jnp.where(area > 0, area, 1.0)
 
 
 def _projected(local: Array, per_area: Scalar) -> Array:
-    """Return the projected area of :func:`covered_area`; arguments as in :func:`energy_density`."""
+    """Return the projected area per undeformed area, the argument of :func:`covered_area`."""
     _, first, second = local
     return (first[0] * second[2] - first[2] * second[0]) * per_area
 
@@ -226,7 +226,7 @@ def energy_density(local: Array, per_area: Scalar, bodies: tuple[Body, ...]) -> 
     local : array of shape (3, 3)
         Deformed position in m, and its derivatives with respect to both coordinates of the face.
     per_area : float
-        Reciprocal of the undeformed area per area of the reference face, in 1/m2.
+        Area of the reference face per undeformed area, in 1/m2.
     bodies : tuple of Body
     """
     projected = _projected(local, per_area)

@@ -28,10 +28,11 @@ from acoustube.indentation.result import RESULTS, Indentation
 FEWEST_ROWS = 5
 """Smallest number of rows: a cubic through all but one estimates the error at that one."""
 NEAREST = 0.25
-"""Smallest distance, in wider intervals next to a row, of the rows that predict it.
+"""Smallest distance of a row from the rows that predict it, over the wider of the two intervals
+next to it.
 
-A cubic errs by at most c H^4 / 16 within an interval H, and by c a^2 b^2 at a row that is left out
-between others at the distances a and b: with b = H and a = H / 4, by as much."""
+With a constant c, a cubic errs by at most c H^4 / 16 within an interval H, and by c a^2 b^2 at a
+row between others at the distances a and b. With a = H / 4 and b = H both are equal."""
 _SOLVED = ("depth", "displacement", "press_force", "iterations", "residual")
 """Results that :meth:`DepthPath.at` does not interpolate by monotone cubics (PCHIP)."""
 
@@ -187,11 +188,12 @@ class DepthPath:
         -----
         By cross-validation: each row but the first and the last is predicted from all others,
         except inner rows nearer than a quarter of the wider interval next to it. The estimate
-        between two rows is the larger of their two errors; at a row it is zero. Of evenly spaced
-        rows the interval without its row is twice as wide: displacements are about three times as
+        between two rows is the larger of their two errors; at a row it is zero. Without a row, the
+        interval of evenly spaced rows is twice as wide: displacements are about three times as
         accurate as estimated. Forces fluctuate by 0.3 % with the number of contact points, at any
-        spacing of the rows; their errors are up to twice the estimate. Between the last open and
-        the first closed row the slope of the force changes faster than the rows resolve.
+        spacing of the rows; their errors are up to twice the estimate. Between the last row
+        with an open lumen and the first with a closed one, the slope of the force changes faster
+        than the rows resolve.
         """
         depth = self._checked(depth)
         rows = self.indentation.depth
@@ -213,7 +215,7 @@ class DepthPath:
 
     @cached_property
     def _left_out(self) -> tuple[Array, Array]:
-        """Errors in m and N at each inner row when predicted from others, two (n_rows - 2,)."""
+        """Errors in m and in N of inner rows that are predicted from others, each (n_rows - 2,)."""
         given, rows = self.indentation, self.indentation.depth
         moved, force = [], []
         for row in range(1, len(rows) - 1):

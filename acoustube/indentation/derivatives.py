@@ -41,7 +41,7 @@ from acoustube.indentation.result import Indentation
 from acoustube.indentation.self_contact import triangulated
 
 SECTION_PARTS = 8
-"""Sides per element edge of the polygon around the lumen's section: its area is the lumen's."""
+"""Sides per element edge of the polygon around the lumen's section, whose area is computed."""
 
 
 class Design(NamedTuple):
@@ -79,7 +79,7 @@ class Derivatives(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """The discretised press of one design: the arguments of its energy and results."""
+    """The discretised press of one design: what nodal forces and results are computed from."""
 
     points: Any
     material: Material
@@ -97,7 +97,7 @@ def derivatives(indentation: Indentation, increment: int = -1) -> Derivatives:
     indentation : Indentation
         One indenter at z = 0 on a round Neo-Hookean tube, of which the half z >= 0 is modelled.
     increment : int, optional
-        Number of the increment; the last by default. The lumen may be closed there.
+        Number of the increment, at which the lumen may be closed; the last by default.
 
     Returns
     -------
@@ -208,7 +208,7 @@ def _first_touched(points: Array, indenter: Indenter, touch: float) -> int:
 
 
 def _touch_height(gap: Partial, point: Any, touch: float) -> Any:
-    """Return the height in m of first contact, differentiable: one step of Newton's method."""
+    """Return the height in m of first contact by a Newton step, which JAX can differentiate."""
     up = jnp.array([0.0, 1.0, 0.0])
 
     def clearance(height: Any, point: Any) -> Any:
@@ -233,9 +233,9 @@ def _residual_derivative(
     displacement: Array,
     design: Design,
 ) -> Callable[[Design], Array]:
-    """Return a function: derivative of the nodal forces (n_nodes, 3) along a change of the design.
+    """Return a function of a change of the design: the derivative of the nodal forces along it.
 
-    The displacements are constant.
+    The derivative is (n_nodes, 3), in N per unit of the change, at constant displacements.
     """
     mesh = indentation.mesh
     position = mesh.points + displacement
@@ -288,7 +288,7 @@ def _area(indentation: Indentation, problem: Callable[[Design], _Problem]) -> An
 
     def area(displacement: Any, design: Design) -> Any:
         x, y, _ = (rows @ (problem(design).points + displacement)).T
-        # The shoelace formula; the closing line of a half, x = 0, adds nothing.
+        # The shoelace formula; the closing line x = 0 of a half section adds nothing.
         cross = x * jnp.roll(y, -1) - y * jnp.roll(x, -1)
         return (1 if symmetric else 0.5) * jnp.abs(jnp.sum(cross))
 

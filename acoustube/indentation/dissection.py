@@ -2,8 +2,8 @@
 
 Nodes on a plane across the body separate the rest into two parts that share no element. Both are
 eliminated before the plane, each in the same way. The elimination of a part then causes no fill-in
-in the other part, and fills only those rows of the plane that it touches. A quarter of a tube takes
-a third of the operations of a banded factorisation.
+in the other part, and fills only those rows of the plane that it touches. For a quarter of a tube,
+the factorisation takes a third of the operations of a banded one.
 
 References
 ----------
@@ -40,7 +40,7 @@ class Dissection(NamedTuple):
     parent : array of int, shape (n_fronts,)
         Number of the separator that cut off each separator's subtree; -1 at a root.
     first : array of int, shape (n_fronts,)
-        Lowest number in each separator's subtree, in which numbers are consecutive.
+        Lowest number of a separator in each separator's subtree; these numbers are consecutive.
     """
 
     front: Index

@@ -56,7 +56,7 @@ def punch_gap(radius: Scalar, edge: Scalar, x: Scalar, z: Scalar, point: Array) 
     Notes
     -----
     The distance to a cylinder that is smaller by the edge radius, minus the edge radius. Inside
-    that cylinder, distances are negative, and the larger one (to the nearer of side and end) holds.
+    that cylinder, the distances to its side and to its end are negative, and the larger one holds.
     """
     # The square root has no derivative at zero: 1e-30 keeps it differentiable on the axis, and
     # `where` inside the smaller cylinder.

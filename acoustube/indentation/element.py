@@ -3,9 +3,9 @@
 Displacement elements lock volumetrically in a nearly incompressible wall. The volumetric energy is
 therefore a function of the volume ratio J projected, element by element, onto a few functions: the
 three-field method of Simo, Taylor and Pister [1]_ condensed to displacements, a relative of the
-F-bar method [2]_. It derives from an energy, so that the tangent is symmetric. The unprojected part
-of J has no energy in hexahedra; in tetrahedra it has a stabilisation modulus k of the order of the
-shear modulus.
+F-bar method [2]_. The forces derive from an energy, so that the tangent is symmetric. The
+unprojected part of J has no energy in hexahedra; in tetrahedra it has a stabilisation modulus k of
+8 shear moduli.
 
 References
 ----------
@@ -185,8 +185,9 @@ def tangents(
     displacement, rule, material
         As for :func:`energies_and_forces`.
     pressure_share : float
-        Fraction of the pressure in the geometric stiffness ``p d2J``. With 0 the volumetric part is
-        positive semidefinite, but the result is not the Hessian where there is a pressure.
+        Fraction of the pressure p in the geometric stiffness, p times the second derivative of J.
+        With 0 the volumetric part is positive semidefinite, but the result is not the Hessian where
+        there is a pressure.
     count : int, optional
         Number of leading elements whose matrices are returned; all by default.
 
@@ -198,9 +199,10 @@ def tangents(
     -----
     Equal to ``jax.hessian(energy)``, in a fifth of its time. With the pressure
     ``p = K (J_projected - 1) + k (J - J_projected)`` the 9 x 9 moduli at a point are the Hessian of
-    ``W_iso + p J`` at constant p plus ``k dJ dJ``. The projection adds a matrix whose rank is the
-    number of its modes. JAX derives the moduli from the material's energy; a compiled loop
-    contracts them with the shape gradients, 3.5 times as fast as the batched products of XLA.
+    ``W_iso + p J`` by F at constant p, plus k times the outer product of dJ/dF with itself. The
+    projection adds a matrix whose rank is the number of its modes. JAX derives the moduli from the
+    material's energy; a compiled loop contracts them with the shape gradients, 3.5 times as fast as
+    the batched products of XLA.
     """
     arrays = rule.gradients, rule.modes, *_moduli(displacement, rule, material, pressure_share)
     count = len(displacement) if count is None else count
@@ -211,7 +213,7 @@ def tangents(
 def _moduli(
     displacement: Array, rule: Quadrature, material: Material, pressure_share: Scalar
 ) -> tuple[Array, Array, Array]:
-    """Return the moduli and cofactors of F at the points, weighted, and the projection's stiffness.
+    """Return moduli and cofactors of F, times the weights of the points, and the modes' stiffness.
 
     Shapes (3, 3, 3, 3, n_elements, n_points), (3, 3, n_elements, n_points), and
     (n_elements, n_modes, n_modes). The points come last, so that the compiler vectorises over them.

@@ -26,9 +26,9 @@ from acoustube.indentation.result import Indentation
 from acoustube.tube import Tube
 
 COARSE = MeshSize(through_wall=1, around=12, along=10)
-"""Numbers of elements of a guide's mesh."""
+"""Numbers of elements of the coarse mesh."""
 LEAST_RATIO = 2.0
-"""Smallest ratio of the numbers of elements, fine to coarse, at which a guide saves time."""
+"""Smallest ratio of the numbers of elements, fine to coarse, at which the coarse one saves time."""
 
 
 class Guide(NamedTuple):
@@ -122,7 +122,7 @@ def prolongation(coarse: Mesh, fine: Mesh) -> sparse.csr_array:
 
 
 def _coordinates(grid: Sweep) -> tuple[Array, Array, Array]:
-    """Return station, angle from the bottom line in rad, and layer of every node."""
+    """Return station, angle from the bottom line in rad, and layer of every node, as in `Sweep`."""
     angle = np.arctan2(grid.across, -grid.up) % (2 * np.pi)
     return grid.station, np.where(np.isclose(angle, 2 * np.pi), 0.0, angle), grid.layer
 

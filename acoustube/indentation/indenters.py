@@ -54,7 +54,7 @@ class Indenter:
         Radius of a punch's rounded edge in m; a tenth of its radius by default.
     depth_fraction : float
         Indentation depth of this indenter as a fraction of the requested depth, above 0 and at most
-        1; less than 1 for some of several indenters.
+        1. Of several indenters, some may have less than 1.
 
     Raises
     ------
@@ -95,7 +95,9 @@ class Indenter:
         return self.x == 0, self.z == 0
 
     def gap(self, diameter: Any = None) -> Partial:
-        """Return a function: signed distance in m to a point (3,), y from the lowest point.
+        """Return the signed distance in m to the indenter, as a function of a point (3,) in m.
+
+        Its y is measured from the lowest point of the indenter.
 
         Parameters
         ----------

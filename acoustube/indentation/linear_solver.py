@@ -148,6 +148,7 @@ def pardiso(lower: sparse.csc_array, library: Any) -> Solve:
     Parameters
     ----------
     lower : sparse array of shape (n, n)
+        Lower triangle of the matrix, with its diagonal.
     library : module
         ``pypardiso.pardiso_wrapper``.
     """

@@ -3,11 +3,12 @@
 The increments of depth are doubled where Newton's method converges in few iterations and halved
 where it fails [1]_. Each starts from a polynomial extrapolation of the previous states, unless the
 lumen's walls cross there. With a guide (:mod:`acoustube.indentation.guide`) an increment reaches
-from one requested depth to the next. It starts from the guide's state plus the difference of the
-last converged state from the guide's there, or from an extrapolation, whichever has the lower
-energy. Only requested depths `SPACING` apart are solved in rising order. The others follow in
-bisection order, each nearest the middle of the widest gap. They start from the cubic through the
-two states on either side, which is closer to the solution than an extrapolation.
+from one requested depth to the next. It starts from the guide's state plus the difference between
+the last converged state and the guide's state at that depth, or from an extrapolation, whichever
+has the lower energy. Only requested depths `SPACING` apart are solved in rising order. The others
+follow in bisection order: next is the one nearest the middle of the widest gap between solved
+depths. They start from the cubic through the two states on either side, which is closer to the
+solution than an extrapolation.
 
 References
 ----------
@@ -51,7 +52,7 @@ EXTRAPOLATED_STATES = 3
 
 
 class _Increment(NamedTuple):
-    """A converged increment."""
+    """A converged increment of the load path: its depth in m, solution, and results."""
 
     depth: float
     solution: NewtonResult
@@ -94,7 +95,7 @@ def load_path(
     Raises
     ------
     PressError
-        If an increment as short as `SMALLEST_INCREMENT` does not converge.
+        If increments would have to be shorter than `SMALLEST_INCREMENT` to converge.
     """
     tube, bore = untouched.tube, untouched.tube.inner_diameter
     allowed = tolerance * tube.shear_modulus * bore**2
@@ -140,7 +141,7 @@ def spread(targets: Array, spacing: float) -> Array:
 
 
 def _by_bisection(targets: Array, done: Sequence[_Increment]) -> list[float]:
-    """Return the targets in bisection order: next is the one nearest the widest gap's middle."""
+    """Return the targets in bisection order: next is that nearest the middle of the widest gap."""
     order, left, known = [], targets, np.array([each.depth for each in done])
     while len(left):
         above = np.searchsorted(known, left)
@@ -236,7 +237,7 @@ def _next_depth(targets: Array, reached: float, increment: float) -> float:
 def _ahead(
     model: Model, last: Sequence[_Increment], depth: float, guide: Guide | None
 ) -> list[Array]:
-    """Return predictors of the state, extrapolated from the last increments to a depth."""
+    """Return predictors of the displacements, extrapolated from the last increments to a depth."""
     # Low orders as well: a high order overshoots where contact grows faster than extrapolated.
     guesses = [_interpolated(last[-n:], depth) for n in range(2, len(last) + 1)]
     if guide is not None:
@@ -250,8 +251,8 @@ def _solved(
     """Return Newton's solution from the predictor of lowest energy without self-intersection.
 
     If all predictors intersect themselves, each is replaced by a state short of the first crossing,
-    on the line to it from the state of the increment `near`. If no energy is finite, that state is
-    the start.
+    on the line to it from the state of the increment `near`. If no energy is finite, Newton's
+    method starts from the state of `near`.
     """
     model, bodies = problem.model, bodies_at(problem.untouched, depth)
     here, points = near.solution.displacement, problem.model.mesh.points
@@ -273,7 +274,7 @@ def _interpolated(increments: Sequence[_Increment], depth: float) -> Array:
 
 
 def _corrected(guide: Guide, model: Model, increments: Sequence[_Increment], depth: float) -> Array:
-    """Return the guide's state at a depth plus the interpolated differences of the increments."""
+    """Return the guide's state at a depth, minus its error interpolated from solved increments."""
     depths = [each.depth for each in increments]
     differences = [
         each.solution.displacement - guide.displacement(each.depth) * model.free

@@ -25,8 +25,8 @@ class Material(NamedTuple):
     Attributes
     ----------
     isochoric : jax.tree_util.Partial
-        Energy per undeformed volume in J/m3 as a function of F; its parameters are JAX leaves, so
-        that new values need no recompilation.
+        Energy per undeformed volume in J/m3 as a function of the deformation gradient F; its
+        parameters are JAX leaves, so that new values need no recompilation.
     bulk_modulus : float
         In Pa.
     """

@@ -111,8 +111,8 @@ class Mesh:
         Node numbers of the elements.
     inner_faces, outer_faces : array of int, shape (n_faces, n_face_local)
         Node numbers of the element faces on the inner and the outer wall; on a swept tube in the
-        order of the elements, along slowest. The derivatives of an outer face by its two
-        coordinates have an outward cross product, which a layer under the tube requires.
+        order of the elements, slowest along the tube. The cross product of the derivatives of an
+        outer face by its two coordinates points outwards, which a layer under the tube requires.
     reference : Reference
         Kind of element.
     halved : tuple of bool

@@ -50,7 +50,7 @@ class Plan(NamedTuple):
     schur : array of int, shape (n_fronts,)
         Start of each front's Schur complement in `stack`.
     entries : array of int, shape (n_entries,)
-        Place of each of the matrix's entries in the factor's storage.
+        Position of each entry of the matrix's lower triangle in the storage of the factor.
     stack : array
         Working storage of Schur complements, overwritten by each factorisation.
     """
@@ -110,7 +110,7 @@ def _same_sparsity(one: sparse.csc_array, other: sparse.csc_array) -> bool:
 
 
 def planned(lower: sparse.csc_array, dissection: Dissection) -> Plan:
-    """Return the fronts of a matrix's factorisation.
+    """Return the plan of a matrix's factorisation by fronts.
 
     Parameters
     ----------
@@ -296,7 +296,10 @@ def _add(
     target: Any, left: Any, into: Any,
     row: int, last_row: int, column: int, last_column: int, above: int, before: int,
 ) -> None:  # pragma: no cover - compiled  # fmt: skip
-    """Add rows and columns of a Schur complement's lower triangle to a block of the parent."""
+    """Add rows and columns of a Schur complement's lower triangle to a block of the parent.
+
+    The block begins after `above` rows and `before` columns of the parent's front.
+    """
     for j in range(column, last_column):
         goal, source = target[:, into[j] - before], left[:, j]
         for i in range(max(row, j), last_row):
@@ -306,9 +309,10 @@ def _add(
 
 @numba.njit(cache=True)
 def _rows(rows: Any, columns: Any, starts: Any, parent: Any) -> Any:  # pragma: no cover - compiled
-    """Return the rows that fronts touch beyond their own, and the start of each front in them.
+    """Return `touched` and `rows` of a :class:`Plan`, and the order of the matrix's entries.
 
-    Also return the entries, sorted by their first-eliminated column, and each column's start.
+    The entries are sorted by column: the place of their row or column that is eliminated first.
+    Their order is given by the start of each column, (n + 1,), and the numbers of the entries.
     """
     n, count, fronts = starts[-1], len(rows), len(parent)
     pointers = np.zeros(n + 1, np.int64)

@@ -34,26 +34,27 @@ MAX_HALVINGS = 8
 SUFFICIENT_DECREASE = 1e-4
 """Fraction of the predicted decrease of the energy that a step must reach (Armijo's constant)."""
 RESIDUAL_DECREASE = 0.5
-"""Ratio of the residuals after and before a step below which it is accepted at any energy."""
+"""Ratio of the residuals after and before a step below which the step is accepted at any energy."""
 REUSE_DECREASE = 0.1
-"""Ratio of the residuals after and before a step below which its factor is used again."""
+"""Ratio of the residuals after and before a step below which the factorised tangent is reused."""
 CONDENSED_REUSE_DECREASE = 0.3
-"""As `REUSE_DECREASE`, with condensed contact: there a step is cheap beside a factorisation."""
+"""Ratio of the residuals after and before a step with condensed contact below which the factorised
+tangent is reused: such a step is cheap beside a factorisation."""
 LEAST_CONDENSED_WORK = 1e9
 """Smallest number of operations of a factorisation with which contact is condensed.
 
-Below, as on 2 x 12 x 10 elements of a quarter, condensing costs more than it saves."""
+With fewer, as on 2 x 12 x 10 elements of a quarter of a tube, this costs more than it saves."""
 REUSED_TOLERANCE = 0.1
 """Largest residual at convergence after a step with a reused factor, relative to the tolerance."""
 DIAGONAL_SHIFTS = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
-"""Fractions of the diagonal that are added, one after the other, to an indefinite tangent.
+"""Fractions of its diagonal, one of which is added to an indefinite tangent; tried in this order.
 
 The diagonal of a nearly incompressible wall is dominated by its volumetric stiffness. The stiffness
 of a thin wall in bending is 1e-6 to 1e-4 of it: with a larger shift a step hardly bends the wall.
 """
 SADDLE_STEPS = 1e-2 * 0.25 ** np.arange(5)
-"""Largest displacements of the steps tried from a saddle of the energy, in both directions, in
-heights of the bore (of the body, if it has no bore)."""
+"""Largest nodal displacements of the steps tried from a saddle of the energy, in both directions,
+in heights of the bore (of the body, if it has no bore)."""
 BUCKLING = "the tangent stiffness is not positive definite (buckling)"
 
 
@@ -269,7 +270,7 @@ def _below_saddle(
 
 
 def _line_search(model: Model, state: State, step: Array, bodies: tuple[Body, ...]) -> State | None:
-    """Return the state after the first halved step that lowers the energy enough, or None."""
+    """Return the state after the first accepted step, halved until it is accepted; None if none."""
     position = model.mesh.points + state.displacement
     longest = model.lumen.collision_free_fraction(position, position + step)
     slope = float(state.gradient @ step[model.free])

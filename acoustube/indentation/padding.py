@@ -27,7 +27,7 @@ def padded(rows: NDArray[Any]) -> NDArray[Any]:
 
 
 def in_blocks(rows: NDArray[Any]) -> NDArray[Any]:
-    """Return an array cut into blocks of `BLOCK` rows, its last row repeated where one is short.
+    """Return an array cut into blocks of `BLOCK` rows, the last filled by repeating the last row.
 
     Parameters
     ----------

@@ -34,19 +34,20 @@ from acoustube.indentation.self_contact import (
 )
 from acoustube.tube import Tube
 
-# The guide is the load path on a coarse mesh. It is followed first, then the requested mesh's.
+# The guide is the load path on a coarse mesh. It is followed before that on the requested mesh.
 GUIDE_INCREMENT = 1 / 8
-"""Largest increment of the guide, in bore diameters."""
+"""Largest increment of depth on the coarse mesh, in bore diameters."""
 GUIDE_TOLERANCE = 1e-3
-"""Norm of the guide's residual forces, in shear moduli times squared bore diameters."""
+"""Norm of the residual forces at convergence on the coarse mesh, in shear moduli times squared bore
+diameters."""
 GUIDE_SUBDIVISIONS = 2
-"""Triangle edges of the guide's inner wall along the edge of an element's face."""
+"""Number of triangle edges of the inner wall along the edge of a face of the coarse mesh."""
 
 DEPTHS = Reals(0, 1, "m")
 INDENTERS = Optional(Either((Indenter,), Several(Indenter, 1)))
 SUPPORT = Choice(SUPPORTS, "of the tube")
 GUIDE_SHARE = 0.25
-"""Expected share of the guide in the computing time, for the reported progress."""
+"""Expected share of the coarse mesh in the computing time, for the reported progress."""
 
 
 @checked(
@@ -283,7 +284,7 @@ def press_model(indentation: Indentation, subdivisions: int = SUBDIVISIONS) -> M
     ----------
     indentation : Indentation
     subdivisions : int
-        Triangle edges of the inner wall along the edge of an element's face.
+        Number of triangle edges of the inner wall along the edge of an element's face.
     """
     mesh, tube = indentation.mesh, indentation.tube
     fixed = _fixed(mesh, indentation.support)

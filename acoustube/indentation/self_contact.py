@@ -34,15 +34,15 @@ from acoustube.indentation.mesh import Mesh
 from acoustube.indentation.reference_element import QUAD8
 
 SUBDIVISIONS = 4
-"""Triangle edges along the edge of an element's face."""
+"""Number of triangle edges of the inner wall along the edge of an element's face."""
 BARRIER_DISTANCE = 2.5e-3
 """Default activation distance d_hat in bore diameters: 0.02 mm in the default tube."""
 BARRIER_STIFFNESS = 0.3
-"""Stiffness of the barrier, in shear moduli."""
+"""Stiffness K of the barrier, in shear moduli; see :func:`gap_at_pressure`."""
 LIBRARY_UNIT = 400
 """Unit of length in the collision library, in activation distances (a bore, by default)."""
 REST_STEP = 1e-6
-"""Central-difference step of the undeformed vertices, in the collision library's unit."""
+"""Step of central differences by undeformed vertices, in the collision library's unit of length."""
 STEP_SAFETY_FACTOR = 0.9
 """Fraction of the step to the first collision that is taken."""
 CLEARANCE = 3.0
@@ -93,8 +93,8 @@ class SelfContact:
 
         This holds at the given states of the vertices and on the straight path between them. If the
         smallest distance at a reference state (`centre`) is d, it exceeds `by` while no vertex has
-        moved farther than (d - by) / 2 from there. A centre without such a margin is kept while
-        motions are small; no new one is computed if the path is too long for the last margin.
+        moved farther than the margin (d - by) / 2. A centre without a margin is kept until a vertex
+        has moved by d_hat / 4; no new one is computed if the path is longer than the last margin.
         """
         d_hat = self.barrier.dhat
 
@@ -175,12 +175,12 @@ class SelfContact:
         position : array of shape (n_nodes, 3)
             Deformed nodes in m; they move with the undeformed ones (constant displacements).
         moved : array of shape (n_nodes, 3)
-            Direction: motion of the undeformed nodes, in m per unit.
+            Motion of the undeformed nodes, in m per unit of a parameter.
 
         Returns
         -------
         array of shape (n_nodes, 3)
-            In N per unit.
+            In N per unit of the parameter.
 
         Notes
         -----
@@ -321,7 +321,7 @@ def gap_at_pressure(pressure: float, distance: float, shear_modulus: float) -> f
         square = r**2 - 1
         return float(4 * r * square * np.log(r**2) + 2 * square**2 / r - scaled)
 
-    root = 2 / scaled if scaled > 1e6 else brentq(excess, 1e-6, 1.0)  # its last term, to 1e-10
+    root = 2 / scaled if scaled > 1e6 else brentq(excess, 1e-6, 1.0)  # 2 / r dominates, to 1e-10
     return float(distance * root)
 
 

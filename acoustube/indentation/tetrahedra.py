@@ -10,7 +10,7 @@ Notes
 The stiffness of the elements depends on the treatment of their volume ratio J. With J projected
 onto a constant and a stabilisation modulus k on the unprojected part, the force error of the sleeve
 paper's tube (a quarter, free, under a 25 mm rod at a depth of 2 mm), relative to the reference
-solution of 1.0305 N, is:
+solution of 1.0305 N, is (mu shear modulus, K bulk modulus):
 
 ==========================  =======  ======  ======  ======  =======  ==========
 edges, in wall thicknesses  k = 0    4 mu    8 mu    10 mu   K        unknowns
@@ -20,11 +20,11 @@ edges, in wall thicknesses  k = 0    4 mu    8 mu    10 mu   K        unknowns
 ==========================  =======  ======  ======  ======  =======  ==========
 
 Hexahedra have +0.1 %. The projection alone (k = 0) leaves hourglass modes without stiffness;
-without it (k = K) the elements lock. A rule of 14 points in place of 4 changed the force by 0.6 %
-with k = 0 and by 1.5 to 2 % with k = K, on one layer of elements. The choice is k = 8 mu, with
-errors of +0.7 and +0.1 % for these edges at 4 mm (hexahedra +0.3 %, K with the shorter edges
-+1.9 %) and +3.8 and +2.0 % at 6 mm (hexahedra +1.2 %, K +5.3 %). The order of convergence falls:
-the displacements of a smooth problem converge with order 2.2, not 3.
+without it (k = K) the elements lock. Quadrature with 14 points in place of 4 changed the force by
+0.6 % with k = 0 and by 1.5 to 2 % with k = K, on one layer of elements. The choice is k = 8 mu. At
+4 mm its errors are +0.7 and +0.1 % for the two edges (k = K with the shorter edges +1.9 %,
+hexahedra +0.3 %), and at 6 mm +3.8 and +2.0 % (+5.3 %, +1.2 %). The order of convergence falls: the
+displacements of a smooth problem converge with order 2.2, not 3.
 
 References
 ----------
@@ -63,7 +63,8 @@ from acoustube.indentation.wall_surface import (
 )
 
 MIN_QUALITY = 0.01
-"""Smallest Jacobian in an element, as a fraction of a regular element's with the same edges.
+"""Smallest Jacobian determinant in an element, over that of a regular element with the same mean
+square edge.
 
 Meshes of a round and of a D-shaped bore had 0.045 to 0.2; below the limit, a single element stops
 the solver."""
@@ -73,8 +74,8 @@ MAX_OFF_SURFACE = 0.01
 Nodes stay off the surface where they would distort their elements. No node may be off a plane."""
 ATTEMPTS = 6
 """Largest number of meshes tried. About one in twenty has a flat element next to a plane, one in
-twelve has more than `MAX_OFF_SURFACE` of a wall's nodes off its surface. In rare ones, none of 200
-draws, a dented plane of symmetry counts as a third wall."""
+twelve has more than `MAX_OFF_SURFACE` of a wall's nodes off its surface. Rarely (in none of 200
+meshes) a dented plane of symmetry counts as a third wall."""
 VOLUME_TOLERANCE = 0.01
 """Largest relative error of the mesh's volume."""
 CHILD = """
@@ -87,7 +88,7 @@ numpy.savez("out.npz", points=points, tetrahedra=tetrahedra)
 STOP_ENERGY = 15.0
 """Distortion energy (AMIPS) of the worst tetrahedron at which fTetWild stops (a regular one: 3)."""
 SIZE_STATIONS = 33
-"""Stations along the tube between which the edge length is interpolated."""
+"""Number of stations along the tube between which the edge length is interpolated."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -307,7 +308,7 @@ def qualities(points: Array, elements: Index) -> Array:
     Returns
     -------
     array of shape (n_elements,)
-        Smallest Jacobian over that of a regular tetrahedron with the same mean square edge.
+        Smallest Jacobian determinant, over that of a regular one with the same mean square edge.
     """
     corners = points[elements[:, :4]]
     sides = np.array([corners[:, i] - corners[:, j] for i, j in edges(3)])

@@ -133,7 +133,7 @@ def closest(wall: trimesh.Trimesh, points: Array) -> Array:
 def symmetries(
     piece: trimesh.Trimesh, asked: tuple[bool, bool], tolerance: float
 ) -> tuple[bool, bool]:
-    """Return the mirror symmetry of a piece about x = 0, and about z = 0.
+    """Return whether a piece is symmetric about x = 0, and about z = 0.
 
     Parameters
     ----------

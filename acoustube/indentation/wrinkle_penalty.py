@@ -30,10 +30,10 @@ from acoustube.indentation.mesh import Mesh
 STIFFNESS = 6.0
 """Stiffness of the penalty, in shear moduli.
 
-A sixth of it changes the force by 0.02 % at 7 mm, 0.2 % at 7.5 mm and 0.9 % at 8 mm, where the
-lumen of the default tube is closed; without the penalty the folds crease."""
+A sixth of it changes the force by 0.02 % at a depth of 7 mm, 0.2 % at 7.5 mm and 0.9 % at 8 mm,
+where the lumen of the default tube is closed; without the penalty the folds crease."""
 ANGULAR_POWER = 8
-"""Power of the sine of the angle from the bottom line, the weight that favours the sides."""
+"""Exponent of the sine of the angle from the bottom line, in a weight that favours the sides."""
 SIXTH_DIFFERENCE = np.array([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0])
 """Coefficients of the sixth central difference."""
 

@@ -1,4 +1,4 @@
-"""Complex baseband of a rangefinder's cycles, and the known factors of an echo's spectrum."""
+"""Complex baseband of a rangefinder's cycles, and the gain from reflection coefficient to it."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from acoustube.waves.modes.grid_modes import mode_numbers
 from acoustube.waves.scattering import Complex
 
 CHIRP_BAND = 0.6
-"""Half width of the inverted band, relative to the bandwidth of the drive. It applies where this
-band is wider than that of :data:`acoustube.ranging.analogue.HALF_WIDTH`."""
+"""Half width of the frequency band that is inverted, relative to the bandwidth of the drive. It
+applies where this band is wider than that of :data:`acoustube.ranging.analogue.HALF_WIDTH`."""
 TAPER = 1 / 6
 """Fraction of the band over which each of its ends is tapered."""
 AFTER_CLIPPING, FADE, SETTLED = 0.1e-3, 0.2e-3, 0.3e-3
@@ -35,20 +35,20 @@ AFTER_CLIPPING, FADE, SETTLED = 0.1e-3, 0.2e-3, 0.3e-3
 `FADE` is the duration of the fade-in, and `SETTLED` is from its end to the first sample of the
 baseband that is used."""
 QUIET_SHARE = 0.3
-"""Fraction of a cycle, at its end, from which the cycle's offset is estimated."""
+"""Fraction of a cycle, at its end, from whose mean the cycle's zero offset is estimated."""
 TUBE = Number(0.01, 100.0, "m")
 CYCLE = Number(2, 1e6, "samples", whole=True)
 SLOWEST = 318.0
-"""Speed of sound in m/s at -21 degC, which sets the end of the window. The window is the same at
-all temperatures, so that clutter learned at one temperature can be used at another."""
+"""Speed of sound in m/s at -21 degC, which sets the end of the times that are inverted. These are
+the same at all temperatures, so that clutter learned at one can be used at another."""
 OWN_LENGTH = 0.03
-"""Length in m of the part of the tube that a press deforms: closer presses deform the same part."""
+"""Length in m of the tube that a press deforms, from its middle to either side."""
 FEWEST_CYCLES = 8
 """Least number of cycles whose noise is estimated from their scatter."""
 
 
 class Baseband:
-    """Frequencies and times of the baseband, and known factors of the spectrum, at one temperature.
+    """Complex baseband of a rangefinder's cycles at one temperature: frequencies, times and gain.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class Baseband:
     temperature : float
         Nominal temperature of the air, in degC.
     modes : tuple of str
-        Modes whose wavenumbers are needed, the plane mode first.
+        Names of the modes whose wavenumbers are needed, the plane mode first.
     n_samples : int, optional
         Number of samples in a cycle; that of the rangefinder by default.
     wrap : Wrap, optional
@@ -117,7 +117,7 @@ class Baseband:
         end = min(flight + max(1e-3, late), self.n_samples / self.rate - 0.5e-3)
         start = self.clear + AFTER_CLIPPING + FADE + SETTLED
         drive = self._drive()
-        # A compressed echo is at the middle of the recorded one, which begins half a drive earlier.
+        # Pulse compression puts an echo at the middle of the recorded one, not at its start.
         self.turn = np.ones(n, complex)
         if is_compressed(rangefinder):
             middle = rangefinder.drive.duration / 2
@@ -140,7 +140,7 @@ class Baseband:
         self.gain = self.press_gain(np.zeros((1, 2)))[0][0]
 
     def _period(self, least: int) -> int:
-        """Return the period of the transforms in samples, not less than a given number."""
+        """Return the period of the Fourier transforms in samples, at least `least`."""
         return int(next_fast_len(least))
 
     def _band(self, carrier: float) -> tuple[NDArray[np.int_], Array]:
@@ -217,7 +217,7 @@ class Baseband:
         return np.stack([first, np.clip(last, first + 2, n)], axis=1)
 
     def noise(self, n_cycles: int) -> float:
-        """Return the variance of a baseband sample of the mean of cycles, in counts squared.
+        """Return the noise variance in counts squared of a baseband sample of the mean of cycles.
 
         Thermal noise and the dithered part of the rounding error are white, and independent from
         cycle to cycle.
@@ -225,12 +225,12 @@ class Baseband:
         variance, band = self._thermal**2, len(self.bins) * self.step / (self.rate / 2)
         if self.rangefinder.quantised:
             variance += 1 / 12 - common_rounding(self._thermal)
-        # The bins of a folded band hold both halves, and its samples are real.
+        # Both halves of a folded band hold the same record, and its samples are real.
         return 2 * self.freedom**2 * max(variance / n_cycles, 1e-12) * band + self.rounding
 
     @property
     def rounding(self) -> float:
-        """Variance of a baseband sample due to rounding that noise does not dither, counts squared.
+        """Variance in counts squared of a baseband sample due to rounding without dither by noise.
 
         This part of the rounding error is in the band of the signal, and the same in all cycles.
         """
@@ -243,12 +243,12 @@ class Baseband:
         Parameters
         ----------
         counts : ndarray
-            (n_cycles, n_samples).
+            Counts of the converter, (n_cycles, n_samples).
 
         Returns
         -------
         mean : ndarray
-            In counts, with the rounding of weak signals corrected, (n_time,).
+            Baseband in counts, with the rounding of weak signals corrected, (n_time,).
         variance : float
             In counts squared: from the scatter of the cycles within the band and :attr:`rounding`,
             or from :meth:`noise` for fewer than :data:`FEWEST_CYCLES` cycles.
@@ -276,7 +276,7 @@ class Baseband:
         return mean, float(max(scatter, least) + self.rounding)
 
     def ring_down(self) -> Complex:
-        """Return the baseband of the ring-down from the rangefinder's parameters, (n_time,)."""
+        """Return the ring-down in the baseband in counts, from the rangefinder's parameters."""
         n = self.period
         real = np.asarray(np.fft.rfftfreq(n, 1 / self.rate)[1:], float)
         f = real.astype(complex)
@@ -304,7 +304,7 @@ class Baseband:
         return np.asarray(2 * self.step * self.taper * np.fft.fft(full, axis=-1))
 
     def press_gain(self, detuned: Array) -> tuple[Complex, Complex, Complex]:
-        """Return the gain from reflection coefficient to recorded spectrum, by detuned transducers.
+        """Return the gain from reflection coefficient to recorded spectrum of detuned transducers.
 
         Parameters
         ----------

@@ -1,7 +1,7 @@
 """Candidates for one additional contact, as starting points of fits to a cycle.
 
-A branch is one normal distribution of the state, see :mod:`acoustube.inversion.motion`. Here it is
-the known state with a candidate added.
+A branch is one normal distribution in the mixture of :mod:`acoustube.inversion.motion`. Here it is
+that of the known contacts with a candidate added.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ BIRTH = 120.0
 """Expected decrease of minus twice the log likelihood above which a candidate is fitted: weaker
 echoes do not distinguish positions half a wavelength apart."""
 START = 3e-3, 0.5e-3
-"""Standard deviations in m of the position and the depth of a candidate."""
+"""Standard deviations in m of the position and the depth of a candidate before it is fitted."""
 LANDING = 0.01
 """Standard deviation of the velocity along the tube of a new contact, in m/s."""
 
@@ -31,7 +31,7 @@ LANDING = 0.01
 def candidates(
     proposals: list[Proposals], motion: Motion, branches: Branches, rest: Complex, whiten: Weights
 ) -> list[Branches]:
-    """Return branches with one additional contact, from which fits to a cycle start.
+    """Return branches (normal distributions) with one more contact, to start fits to a cycle from.
 
     Parameters
     ----------
@@ -87,15 +87,15 @@ def fronts_of(model: ForwardModel, branches: Branches) -> tuple[list[Front], Arr
 
 
 def new_deviations(motion: Motion) -> Array:
-    """Return standard deviations of a candidate's position, depth (m), velocities (m/s), (4,)."""
+    """Return standard deviations of a candidate: position, depth in m, velocities in m/s, (4,)."""
     return np.array([*START, LANDING, motion.sink])
 
 
 def uniform(model: ForwardModel, tool: int) -> float:
-    """Return the log ratio of a contact's uniform prior area to that of a candidate's distribution.
+    """Return the log ratio of the areas of a contact's prior and of a candidate's distribution.
 
-    The first area is the range of position times that of depth. The second is 2 pi times the
-    product of the standard deviations :data:`START`.
+    The prior is uniform: its area is the range of position times that of depth. The area of the
+    normal distribution is 2 pi times the product of the standard deviations :data:`START`.
     """
     low, high = model.tables[tool].range
     volume = float(np.ptp(model.span)) * (high - low)

@@ -1,4 +1,4 @@
-"""Clutter and ring-down of a tube: from untouched cycles, or Gaussian of a stated power density."""
+"""Clutter and ring-down of a tube, from untouched cycles or from a stated power density alone."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ SPACING = 1e-3
 """Spacing in m of the reflectors that represent the irregularities of a tube: a quarter wavelength
 at 85 kHz."""
 CELL = 0.02
-"""Step in m of the table of the clutter beyond a position."""
+"""Step in m between the positions of the table of the clutter."""
 WARM, WARM_STEP = 1.5, 0.1
 """Largest magnitude and step in K of the temperature deviations in the table of the clutter."""
 RING_DEVIATION = 0.3
 """Relative standard deviation of the ring-down's level where it is not measured."""
 FAR_DEVIATION = 0.01
-"""Standard deviation in m of the position of the far end: its phase is not known."""
+"""Standard deviation in m of the position of the far end: the phase of its echo is not known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ class Clutter:
 
     @cached_property
     def covariance(self) -> Complex:
-        """Covariance in counts squared, (n_time, n_time), where `shapes` is not None."""
+        """Covariance of the unknown part in counts squared, (n_time, n_time); needs `shapes`."""
         assert self.shapes is not None
         return np.asarray(self.shapes @ self.shapes.conj().T)
 
@@ -138,7 +138,7 @@ def measured_clutter(
     The level of the ring-down is fitted by weighted least squares. Then reflectors along the tube,
     Gaussian a priori, are estimated by Wiener's filter. What these do not explain counts as
     ring-down. Ring-down and clutter together are the mean of the cycles, and the variance of their
-    errors is that of its noise.
+    errors is that of the noise of this mean.
     """
     return reflectors(base, counts).clutter(at or base)
 
@@ -178,7 +178,7 @@ class Reflectors:
         phase, heated = at.path.plane(self.places)
         slope = -2j * at.path.plane(middle)[1]
         cell = np.repeat(np.arange(len(first)), np.diff(first, append=len(self.places)))
-        off = (-2j * heated - slope[:, cell]).astype(np.complex64)  # enough within a cell
+        off = (-2j * heated - slope[:, cell]).astype(np.complex64)  # small within a cell
         term = np.asarray(self.strength * propagation_factor(2 * phase), np.complex64)
         terms = []
         for power in (1, 2, 3):
@@ -200,7 +200,7 @@ class Reflectors:
 
 
 def mean_reflectors(parts: Sequence[Reflectors], weights: Sequence[float]) -> Reflectors:
-    """Return the weighted mean of independent estimates of one tube, as at several temperatures."""
+    """Return the weighted mean of independent estimates of one tube's reflectors."""
     share = np.asarray(weights, float) / np.sum(weights)
     strength = share @ np.stack([one.strength for one in parts])
     ring = share @ np.stack([one.ring for one in parts])
@@ -209,7 +209,7 @@ def mean_reflectors(parts: Sequence[Reflectors], weights: Sequence[float]) -> Re
 
 
 def reflectors(base: Baseband, counts: NDArray[np.generic]) -> Reflectors:
-    """Return the reflectors that :func:`measured_clutter` estimates."""
+    """Return the reflectors that :func:`measured_clutter` estimates, for its arguments."""
     places, shapes = _reflectors(base)
     mean, variance = base.of_cycles(counts)
     prior = shapes @ shapes.conj().T
@@ -234,7 +234,10 @@ def _scale(base: Baseband, places: Array) -> Array:
 
 
 def _reflectors(base: Baseband) -> tuple[Array, Complex]:
-    """Return reflectors' positions in m, and echoes at one prior deviation each, (n_time, n)."""
+    """Return reflectors' positions in m, and their echoes in counts in the baseband, (n_time, n).
+
+    The strength of each is one prior standard deviation.
+    """
     places = np.arange(0.5 * SPACING, base.length - 2 * FAR_DEVIATION, SPACING)
     end = base.length + FAR_DEVIATION * np.array([-1.5, -0.5, 0.5, 1.5])
     places = np.concatenate([places, end])

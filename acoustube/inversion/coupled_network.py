@@ -89,7 +89,7 @@ def coupled_echo(
 def _at_face(
     load: Complex, face: complex, entry: Entry | None
 ) -> tuple[Complex, Complex, Complex, Complex]:
-    """Return the echo at the face, its derivative by the entry's temperature, and two vectors.
+    """Return the echo at the face, its derivative by temperature in the entry, and two vectors.
 
     The first vector is the row of factors with which the modes that leave the start of the first
     section towards the face are received. The second is the column of the modes' amplitudes that
@@ -110,7 +110,7 @@ def _at_face(
 
 
 def _blocks(s: Complex) -> tuple[Complex, Complex, Complex, Complex]:
-    """Return the reflection at port 1, transmission 2 to 1 and 1 to 2, reflection at port 2."""
+    """Return the blocks R1, T12 (from port 2 to port 1), T21 and R2 of a scattering matrix."""
     return s[..., 0, :, 0, :], s[..., 0, :, 1, :], s[..., 1, :, 0, :], s[..., 1, :, 1, :]
 
 

@@ -1,4 +1,4 @@
-"""Input of a track from one cycle, and what the track records of each contact."""
+"""Data of one cycle for the tracking of contacts, and the record of each tracked contact."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from acoustube.waves.scattering import Complex
 
 
 class Cycle(NamedTuple):
-    """Baseband of one cycle.
+    """Baseband of one cycle, and its noise.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Cycle(NamedTuple):
 
 @dataclass
 class Known:
-    """Number, odds and age of a contact, in addition to its state.
+    """Number, odds and age of a tracked contact, apart from its position, depth and velocities.
 
     Attributes
     ----------

@@ -90,8 +90,9 @@ class _Known(NamedTuple):
     Attributes
     ----------
     tools : tuple of int
+        Number of the tool of each press.
     parameters : ndarray
-        (1, n_parameters).
+        Parameter vector of the fit, (1, n_parameters).
     whiten : Weights
         Weights with which a further press is judged.
     value : ndarray
@@ -99,7 +100,8 @@ class _Known(NamedTuple):
     slopes : ndarray
         Derivatives of `value` by the parameters, whitened, (1, n_parameters, n_time).
     information : ndarray
-        Half the Hessian of the cost, (n_parameters, n_parameters).
+        Half the Hessian of the cost of :class:`acoustube.inversion.fit.Fits`,
+        (n_parameters, n_parameters).
     """
 
     tools: tuple[int, ...]

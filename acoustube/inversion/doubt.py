@@ -26,12 +26,12 @@ tube: two solvers or meshes differ by as much near closure. `BENT_LEAST` is that
 echoes next to a cut-on differ by as much. `LARGEST` is the upper one: a larger error is due to
 presses that are not detected yet."""
 FALL = 0.4
-"""Ratio of the errors of the fits with and without one additional press up to which the former is
-taken as that of the model. The larger error without the press is then due to its absence. Both are
-among :data:`acoustube.inversion.hypotheses.ERRORS`, whose ratios next to this one are 1/3 and 1/2.
+"""Largest ratio of the model error found with one additional press to the error found without it,
+at which the first is used: the second is then due to the absence of the press. Both are among
+:data:`acoustube.inversion.hypotheses.ERRORS`, whose ratios next to this one are 1/3 and 1/2.
 """
 ITERATIONS = 6
-"""Iterations of each fit with these weights."""
+"""Largest number of iterations of each fit with the weights of :func:`doubt_weights`."""
 
 
 def doubt_weights(
@@ -47,8 +47,8 @@ def doubt_weights(
     noise : float
         Variance of a sample of the mean of cycles, in counts squared.
     seen : Hypothesis
-        Hypothesis whose errors of the model are taken: that in proportion to the echo, which is
-        limited and enlarged, and that at all times.
+        Hypothesis whose errors of the model are taken: the one in proportion to the echo, which is
+        limited and enlarged, and the one that is equal at all times.
     """
     least = BENT_LEAST if model.path.converts else LEAST
     error = sqrt(SAMPLES) * min(max(seen.error, least), LARGEST)

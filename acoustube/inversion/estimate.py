@@ -33,14 +33,15 @@ MISFIT = 0.15
 """Relative error of the forward model above which the tube, the tool, the sensor or the number of
 contacts is reported to differ from the model."""
 GOOD = 0.05
-"""Relative error of the model up to which a hypothesis is good, so that no other is followed."""
+"""Relative error of the model up to which a hypothesis is good, so that no other of equally many
+presses is followed."""
 EXCESS = 2.0
 """Margin that is subtracted from the energy of the residual, besides the energy of the noise, in
 standard deviations of the latter. The rest counts as unexplained."""
 NEGLIGIBLE = 300.0
-"""Excess of a maximum's cost over the least above which the maximum is left out of the posterior.
-The posterior allows for up to ten times the power of the model's error, so that the weight of such
-a maximum would be at most exp(-15)."""
+"""Excess of the cost (minus twice the log likelihood) of a maximum over the least, above which the
+maximum is left out of the posterior. The posterior allows for up to ten times the power of the
+model's error, so that the weight of such a maximum would be at most exp(-15)."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class Inversion:
         Whether the misfit is at most :data:`MISFIT`, or nan.
     temperature, gain, stretch : Estimate
         Difference of the air's temperature from the model's in K, logarithm of the gain relative to
-        the model's, and relative stretch of frequency in the presses.
+        the model's, and relative change of the frequency at which the presses' scattering is taken.
     number : dict of float
         Probability of each number of presses that was tried.
     hypotheses : list of Hypothesis
@@ -151,7 +152,7 @@ class Inversion:
             allowed = f"0 to {last}" if last else "0"
             raise ConfigError(f"tool = {tool} is out of range; use {allowed}")
         at = np.asarray(places, float)
-        with threadpool_limits(1, user_api="blas"):  # the matrices are small
+        with threadpool_limits(1, user_api="blas"):  # one thread, as the matrices are small
             found = detection_limit(self.model, self.best, self.noise, tool, at)
         full = len(self.best.tools) >= self.most
         return np.where(np.isnan(found) | (not full), found, np.inf)
@@ -195,13 +196,14 @@ class Inverter:
             )
         samples, noise = self.model.base.of_cycles(array)
         builder = Builder(self.model, self.templates, samples, noise)
-        with self._threads.limit(limits=1, user_api="blas"):  # the matrices are small
+        with self._threads.limit(limits=1, user_api="blas"):  # one thread: small matrices
             return self._posterior(self._chain(builder), builder)
 
     def _chain(self, builder: Builder) -> list[Hypothesis]:
         """Return the best hypothesis of each number of presses, up to the first unlikely number.
 
-        Numbers of presses that were found one after another in time are not left out.
+        The list goes on beyond an unlikely number if more presses were found one after another in
+        time (:mod:`acoustube.inversion.peeling`), unless fewer presses explain the echo well.
         """
         chain = [builder.untouched()]
         beam, in_time = chain, peeled(builder, self.most)
@@ -228,7 +230,7 @@ class Inverter:
                 best = doubted(builder, chain[-1], best)
                 likelier = best.deviance + cost < chain[-1].deviance
             chain.append(best)
-            if not likelier and number >= len(in_time):  # two of three presses may be unlikely
+            if not likelier and number >= len(in_time):  # two alone of three may be unlikely
                 break
             beam = [best, *_others(best, found)] if best.error > GOOD else [best]
         return _pruned(builder, chain)
@@ -293,7 +295,7 @@ class Inverter:
 
 
 def _unexplained(measured: Complex, explained: Complex, builder: Builder) -> float:
-    """Return the fraction of the echo that the model and the noise do not explain."""
+    """Return the fraction of the echo's amplitude that neither model nor noise explains."""
     rest = builder.quiet(measured - explained)
     noise = builder.model.base.freedom * len(rest)
     beyond = np.sum(np.abs(rest) ** 2) - noise - EXCESS * noise**0.5

@@ -23,16 +23,17 @@ from acoustube.inversion.whitening import Weights
 from acoustube.waves.scattering import Complex
 
 CONVERGED = 0.02
-"""Decrease of the cost per iteration up to which the iterations end."""
+"""Decrease of the cost of :class:`Fits` in one iteration, up to which the iterations end."""
 DAMPING, RAISED, LOWERED = 1e-2, 6.0, 5.0
-"""Initial damping, its factor after a step that raises the cost, and its divisor otherwise."""
+"""Initial Levenberg-Marquardt damping, its factor after a step that does not lower the cost, and
+its divisor otherwise."""
 AT_ONCE = 16
 """Number of sets of parameters whose scattering is computed at once: some MB, which fit a cache."""
 DISTINCT = 0.3e-3, 0.02e-3
 """Differences of place and depth in m below which two maxima count as one."""
 SAME_MAXIMUM = 4.0
-"""Squared Mahalanobis distance of two maxima below which they also count as one. While maxima are
-sought, two sets of parameters count as one by this alone."""
+"""Squared Mahalanobis distance below which two maxima count as one, as they do within
+:data:`DISTINCT`. While maxima are sought, this distance alone decides."""
 PATIENCE, FAR_WORSE = 3, 1e3
 """Rule without a known maximum: after PATIENCE iterations, starting points are given up whose cost
 exceeds the least by FAR_WORSE or more. This excess is halved with each further iteration."""
@@ -100,8 +101,8 @@ def maximise(
 
     The fits are in the order of the starting points. A starting point whose cost stays far above
     the least, or above that of a known maximum, or that comes to the known maximum, is given up:
-    its last parameters are returned. One that comes to the parameters of a better one, within
-    :data:`SAME_MAXIMUM`, has the maximum of the latter.
+    its last parameters are returned. One that comes within :data:`SAME_MAXIMUM` of a better one is
+    given the maximum of the better one.
 
     Parameters
     ----------
@@ -155,16 +156,16 @@ def maximise(
 
 
 def _alike(one: Array, other: Array, information: Array) -> NDArray[np.bool_]:
-    """Return whether parameters (n, p) count as one with others (m, p), (n, m).
+    """Return whether parameters (n, p) and others (m, p) belong to one maximum, (n, m).
 
-    `information` is that of the others, (m, p, p).
+    `information` is half the Hessian of the cost at the others, (m, p, p).
     """
     off = one[:, None] - other
     return np.asarray(np.einsum("ijp,jpq,ijq->ij", off, information, off) < SAME_MAXIMUM)
 
 
 def _follow(leader: NDArray[np.int_], near: NDArray[np.bool_], cost: Array) -> None:
-    """Let each starting point follow the best one near it.
+    """Assign to each starting point the best one near it, whose maximum it is given.
 
     Parameters
     ----------
@@ -173,7 +174,7 @@ def _follow(leader: NDArray[np.int_], near: NDArray[np.bool_], cost: Array) -> N
     near : ndarray
         Whether two starting points have come to the same parameters, (n, n).
     cost : ndarray
-        (n,).
+        Cost at each, (n,).
     """
     own = np.arange(len(leader))
     free = leader == own
@@ -205,7 +206,7 @@ def _few_quadratic(
     samples: Complex,
     whiten: Weights,
 ) -> tuple[Array, Array, Array]:
-    """Return what `_quadratic` does, for so few sets that their matrices fit a cache."""
+    """Return cost, half its gradient and half its Hessian for at most :data:`AT_ONCE` sets."""
     places, depths, nuisances = split(parameters)
     value, jacobian = model.baseband(tools, places, depths, nuisances)
     residual = whiten(samples - value)
@@ -216,7 +217,7 @@ def _few_quadratic(
     precision = 1 / model.priors.deviations**2
     prior[own, own] = precision
     cost = 2 * np.sum(np.abs(residual) ** 2, axis=1) + nuisances**2 @ precision
-    slopes = slopes.astype(complex, copy=False)  # as products by place and temperature cancel
+    slopes = slopes.astype(complex, copy=False)  # products by place and temperature nearly cancel
     conjugate = slopes.conj()
     gradient = -2 * (conjugate @ residual[:, :, None])[:, :, 0].real
     gradient[:, own] += nuisances * precision

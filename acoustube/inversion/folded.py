@@ -33,13 +33,13 @@ from acoustube.waves.scattering import Complex
 HALF_BAND = 0.13
 """Half width of the band about half the sampling rate, relative to the carrier frequency."""
 FARTHEST = 0.08
-"""Largest difference of the carrier and half the sampling rate, relative to the carrier."""
+"""Largest allowed difference of carrier and half the sampling rate, relative to the carrier."""
 RING_DOWN_OVERSAMPLING = 4
 """Ratio of the rate at which the ring-down of a folded band is computed to the sampling rate."""
 
 
 class FoldedBaseband(Baseband):
-    """Grid of frequencies and times of a folded band; its samples are real.
+    """Baseband of cycles sampled below the Nyquist rate of their carrier; its samples are real.
 
     As on EchoTube's board, the voltage is not filtered before it is sampled. The parameters are
     those of :class:`acoustube.inversion.Baseband`.
@@ -53,7 +53,7 @@ class FoldedBaseband(Baseband):
     freedom = 0.5
 
     def _period(self, least: int) -> int:
-        """Return the number of samples of the period, which is even."""
+        """Return the period of the Fourier transforms in samples, even and at least `least`."""
         return 2 * int(next_fast_len(-(-least // 2)))
 
     def _band(self, carrier: float) -> tuple[NDArray[np.int_], Array]:
@@ -84,11 +84,14 @@ class FoldedBaseband(Baseband):
         return np.asarray(samples.real, samples.dtype)
 
     def adjoint(self, samples: Complex) -> Complex:
-        """Return the adjoint of :meth:`transformed` for the real part of the inner product."""
+        """Return the adjoint of :meth:`transformed` applied to samples (..., n), as (..., n_f).
+
+        It is the adjoint for the real part of the inner product, since the samples are real.
+        """
         return super().adjoint(samples * self._signs[: samples.shape[-1]])
 
     def ring_down(self) -> Complex:
-        """Return the baseband of the ring-down from the rangefinder's parameters, (n_time,)."""
+        """Return the ring-down in the baseband in counts, from the rangefinder's parameters."""
         every = RING_DOWN_OVERSAMPLING
         r, n, rate = self.rangefinder, every * self.period, every * self.rate
         f = np.asarray(np.fft.rfftfreq(n, 1 / rate)[1:], float).astype(complex)

@@ -26,45 +26,45 @@ from acoustube.waves.scattering import Complex
 ERRORS = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4)
 """Relative errors of the model, of which the most likely one is chosen."""
 SPREADS = 1e-4, 4e-4, 1.5e-3
-"""Errors of the model at all times, relative to the highest echo, that are tried besides zero."""
+"""Errors of the model, equal at all times and relative to the highest echo, tried besides zero."""
 BENT_SPREADS = 6e-3, 2.4e-2
-"""Further such errors that are tried on a wrapped tube, where modes close to their cut-on are slow
-and are reflected where the curvature changes."""
+"""Errors of the model, equal at all times and relative to the highest echo, also tried on a wrapped
+tube, where modes close to their cut-on are slow and reflected where the curvature changes."""
 SHIFTS = (
     (-1, 0.0), (1, 0.0), (-2, 0.0), (2, 0.0), (-3, 0.0), (3, 0.0), (0, -0.4e-3), (0, 0.4e-3),
     (0, -0.15e-3), (0, 0.15e-3), (1, 0.15e-3), (-1, -0.15e-3), (1, -0.15e-3), (-1, 0.15e-3),
 )  # fmt: skip
 """Shifts of place in half wavelengths and of depth in m by which other maxima are sought."""
 JOINT = -3, -2, -1, 1, 2, 3
-"""Shifts of all presses together, in half wavelengths."""
+"""Shifts of all presses together, in half wavelengths, by which other maxima are sought."""
 POOR = 0.05
-"""Relative model error above which it is estimated anew at the maxima found by joint shifts."""
+"""Relative error of the model above which it is estimated anew after shifts of all presses."""
 JUDGED = 4
-"""Largest number of maxima of joint shifts whose model error is estimated."""
+"""Largest number of maxima, after shifts of all presses, at which the error is estimated anew."""
 OUTLIER = 9.0
 """Cap on the squared whitened residual in the robust choice of the initial temperature."""
 KEPT = 3
 """Number of candidates whose model error is estimated, for each tool of a further press and each
 index of this press along the tube."""
 SEARCHED = 0.02
-"""Largest relative error of the model with which presses are sought."""
+"""Largest relative error of the model that is assumed in the search for presses."""
 STARTS = 2, 10
-"""Number of iterations for all candidates of one more press, and number of the best that are then
-followed."""
+"""Number of iterations for all candidates of one more press, and number of the best candidates that
+are then refined further."""
 FIRST_STARTS = 16, 5
-"""Number of candidates of a first press that are refined, and number of the best that are followed
-after those iterations. In twelve recordings of single presses, the candidate that led to the best
-maximum was among the first eight."""
+"""Number of candidates of a first press that are refined, and number of the best that are refined
+further after `STARTS[0]` iterations. In twelve recordings of single presses, the candidate that led
+to the best maximum was among the first eight."""
 FOLLOWED = 2
-"""Number of tools, or of their orders along the tube, for which the model error is estimated."""
+"""Number of combinations of tool and order along the tube whose model error is estimated."""
 LOUD = 5.0
 """Smoothed level of the whitened samples, relative to the noise, at which an echo begins."""
 HOPELESS = 10.0
 """Excess of the deviance with one more press over that without it, above which the press is not
 followed. The deviance with the press is that before its model error and other maxima are known."""
 UNLIKELY, FARTHER = 8.0, 4
-"""Excess of a maximum's cost over the least up to which places farther along the tube are tried
-too, and number of half wavelengths tried."""
+"""Excess of the cost (minus twice the log likelihood) of a maximum over the least, up to which
+places farther along the tube are tried too, and number of half wavelengths tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +135,7 @@ class Builder:
         return self._judged((), fits, 0.0, self.quiet)
 
     def silent(self) -> Hypothesis:
-        """Return the hypothesis of no press at the initial nuisance parameters, not judged."""
+        """Return the hypothesis of no press at the initial nuisance parameters, without a fit."""
         n = len(self.start)
         fits = Fits(self.start[None], np.zeros(1), np.eye(n)[None])
         return Hypothesis((), fits, 0.0, self.quiet, np.inf, np.inf)
@@ -175,8 +175,8 @@ class Builder:
     def extended(self, known: Hypothesis, least: float | None = None) -> list[Hypothesis]:
         """Return hypotheses with one more press, whose expected gain exceeds `least`.
 
-        The gain is the decrease of the cost. By default `least` is the gain that the prior odds of
-        the press require.
+        The gain is the decrease of minus twice the log likelihood. By default `least` is the gain
+        that the prior odds of the press require.
         """
         own = self.searched(known) if known.tools else known
         sought = [known] if own is known else [known, own]
@@ -278,9 +278,9 @@ class Builder:
         return min(tried, key=lambda one: one.deviance)
 
     def _alone(self, tools: tuple[int, ...], at: Array) -> Hypothesis:
-        """Return the hypothesis of two fits from a starting point (1, n_parameters).
+        """Return the hypothesis fitted twice in succession from one point (1, n_parameters).
 
-        Before each the error of the model is estimated.
+        Before each fit the error of the model is estimated.
         """
         for spread in (False, True):
             error, own = self._likely_error(tools, at[0], spread=spread)
@@ -331,7 +331,7 @@ class Builder:
         return [self._fitted(*_without(known, i)) for i in range(len(known.tools))]
 
     def _farther(self, tools: tuple[int, ...], fits: Fits, whiten: Weights, half: float) -> Fits:
-        """Return fits and maxima farther along the tube, if half wavelengths are not resolved."""
+        """Return fits, with maxima farther along the tube if likely ones are not close together."""
         likely = fits.cost < fits.cost[0] + UNLIKELY
         m = len(tools)
         starts = []
@@ -352,7 +352,7 @@ class Builder:
     ) -> tuple[float, Weights]:
         """Return the most likely error of the model at given parameters, and weights with it.
 
-        With `spread`, the error at all times is estimated too.
+        With `spread`, the error that is equal at all times is estimated too.
         """
         echo = echo_of(self.model, tools, parameters)
         rest = self.samples - self.modelled(tools, parameters)
@@ -364,7 +364,7 @@ class Builder:
         best = min(judged(error, 0.0) for error in ERRORS)
         if not spread:
             return best[1], weights(self.model, self.noise, best[1], echo)
-        # An error at all times may account for what seemed one in proportion to the echo.
+        # An error equal at all times may account for what seemed one in proportion to the echo.
         errors = {best[1], *(error for error in ERRORS[:2] if error < best[1])}
         spreads = SPREADS + BENT_SPREADS if self.model.path.converts else SPREADS
         wider = [judged(error, one) for error in sorted(errors) for one in spreads]

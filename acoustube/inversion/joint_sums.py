@@ -31,7 +31,8 @@ from acoustube.inversion.small_matrices import (
 from acoustube.waves.scattering import Complex
 
 PASSED, RETURNED, REFLECTED, PASSING = 0, 9, 18, 27
-"""First index of each matrix of a joint in the last axis, in the order of the module's text."""
+"""First index of each matrix of a joint in the last axis of `joints`: transmission, reflection into
+the straight and into the bent bore, transmission of the unscattered modes."""
 
 
 @compiled
@@ -41,14 +42,14 @@ def _three(a: Complex) -> Vector:
 
 @compiled
 def _joint(at: Complex, way: Vector) -> tuple[Matrix, Matrix]:
-    """Return a joint's transmission and its reflection back to the press, as seen at the press."""
+    """Return a joint's transmission and reflection back to the press, referred to the press."""
     ones = (1.0 + 0j, 1.0 + 0j, 1.0 + 0j)
     return scaled(way, kept(at[PASSED:]), ones), scaled(way, kept(at[RETURNED:]), way)
 
 
 @compiled
 def _once_more(s: Complex, out: int, into: int, b0: Matrix, b1: Matrix) -> Matrix:
-    """Return a block of S + S B S, where B has the diagonal blocks `b0` and `b1`."""
+    """Return a block of S + S B S, with the scattering matrix S and B = diag(`b0`, `b1`)."""
     first = product(block(s, out, 0), product(b0, block(s, 0, into)))
     second = product(block(s, out, 1), product(b1, block(s, 1, into)))
     return added(block(s, out, into), added(first, second))
@@ -56,13 +57,13 @@ def _once_more(s: Complex, out: int, into: int, b0: Matrix, b1: Matrix) -> Matri
 
 @compiled
 def _applied(s: Complex, out: int, v0: Vector, v1: Vector) -> Vector:
-    """Return S v at port `out`, where `v0` and `v1` are the parts of v at the two ports."""
+    """Return S v at port `out`, with the scattering matrix S and v = (`v0`, `v1`) by port."""
     return plus(apply(block(s, out, 0), v0), apply(block(s, out, 1), v1))
 
 
 @compiled
 def _applied_left(s: Complex, into: int, u0: Vector, u1: Vector) -> Vector:
-    """Return u^T S at port `into`, where `u0` and `u1` are the parts of u at the two ports."""
+    """Return u^T S at port `into`, with the scattering matrix S and u = (`u0`, `u1`) by port."""
     return plus(apply_left(u0, block(s, 0, into)), apply_left(u1, block(s, 1, into)))
 
 
@@ -123,7 +124,7 @@ def joined_changes(
     s: Complex, s_depth: Complex, s_stretch: Complex, joints: Complex, moved: Complex,
     way: Complex, warm: Complex, through: Complex, through_warm: Complex, waves: Complex,
 ) -> Complex:  # fmt: skip
-    """Return the derivatives of u^T W v, the received part of the sound that presses scatter.
+    """Return the derivatives of u^T W v, the sound received from presses with the matrices W.
 
     Parameters
     ----------
@@ -156,7 +157,7 @@ def joined_changes(
             left, out = _three(waves[a, f, 0]), _three(waves[a, f, 1])
             right, into = _three(waves[a, f, 2]), _three(waves[a, f, 3])
             u0, u1, v0, v1 = apply(e0, left), apply(e1, out), apply(e0, right), apply(e1, into)
-            # Scattered once, and returned by the joints.
+            # Waves scattered once by the press, and then reflected back to it by the joints.
             t0, t1 = _applied(one, 0, v0, v1), _applied(one, 1, v0, v1)
             r0, r1 = _applied_left(one, 0, u0, u1), _applied_left(one, 1, u0, u1)
             again0, again1 = apply(b0, t0), apply(b1, t1)

@@ -1,16 +1,16 @@
-"""Scattering matrix of a press between two bends, between bent modes, and its derivatives.
+"""Scattering matrix of a press between two bends, in the modes of the bent tube, with derivatives.
 
-To first order in B, the scattering matrix between bent modes is
+To first order in B, the scattering matrix between the bent tube's modes (bent modes) is
 
     W = E^T (S + S B S) E + G + P.
 
-S is the scattering matrix of the press between straight modes. E, B and G describe the joints at
-its two ends, and are block-diagonal and referred to the press. E is their transmission, B their
-reflection back into the straight bore, and G their reflection back into the bent one. P is the
-transmission of modes that pass the press unscattered: those antisymmetric about the plane of the
-bend, which are not in S. The derivatives are needed in products u^T dW v, where v holds
-the amplitudes of the waves that arrive, and u the factors with which leaving waves are received.
-These need only products of matrices and vectors.
+S is the scattering matrix of the press between the straight tube's modes. E, B and G describe the
+joints at its two ends, and are block-diagonal and referred to the press. E is their transmission, B
+their reflection back into the straight bore, and G their reflection back into the bent one. P is
+the transmission of modes that pass the press unscattered: those antisymmetric about the plane of
+the bend, which are not in S. The derivatives are needed in products u^T dW v, where v holds the
+amplitudes of the waves that arrive, and u the factors with which leaving waves are received. These
+need only products of matrices and vectors.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Joined:
     Attributes
     ----------
     straight : Matrices
-        Scattering between three straight modes, zero for modes that the tool does not have.
+        Scattering between three straight modes, zero for modes that the tool's matrices lack.
     joints, moved : ndarray
         Scattering matrices of the joints at both ports, flattened, and their derivatives by the
         position of the press in 1/m, (2, n, n_f, n_parts); see
@@ -59,7 +59,7 @@ class Joined:
     @cached_property
     def value(self) -> Complex:
         """Scattering matrices between bent modes, (n, n_f, 2, 3, 2, 3)."""
-        from acoustube.inversion.joint_sums import joined_values  # Numba, as in `tables`
+        from acoustube.inversion.joint_sums import joined_values  # imports Numba
 
         return np.asarray(joined_values(self.straight.value, self.joints, self.way, self.through))
 
@@ -70,7 +70,7 @@ class Joined:
         out: Complex | None = None,
         into: Complex | None = None,
     ) -> Complex:
-        """Return the derivatives of u^T W v, the received part of the sound that presses scatter.
+        """Return the derivatives of u^T W v, the sound received from presses with the matrices W.
 
         Parameters
         ----------
@@ -97,7 +97,8 @@ class Joined:
     def transmission(self) -> tuple[Complex, Complex, Complex]:
         """Return the plane wave's two-way transmission, and its derivatives by depth and stretch.
 
-        Each is (n, n_f), relative to the bend without a press, as is the clutter behind a press.
+        Each is (n, n_f), relative to the transmission of the bend without a press, which is part of
+        the clutter behind the press.
         """
         plane = np.zeros(self.way.shape, complex)
         plane[..., 0] = 1.0

@@ -1,8 +1,8 @@
 """Likelihood of a cycle's baseband: its covariance about the model.
 
 The covariance has five parts: the noise; clutter and ring-down, or their error if they are known;
-an error of the model in proportion to the echo; one at all times; and one of the losses in the
-presses.
+an error of the model in proportion to the echo; an error of the model that is equal at all times;
+and an error of the losses in the presses.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Echo(NamedTuple):
 
 def echo_from(model: ForwardModel, value: Complex, by_losses: Complex | None = None) -> Echo:
     """Return the echo whose `value` and `by_losses` are given, both (n_time,) in counts."""
-    from scipy.signal import lfilter  # loads statistics too, 20 MB that a sensor does not need
+    from scipy.signal import lfilter  # loads 20 MB that acoustube.sensor does not need
 
     power = np.convolve(np.abs(value) ** 2, [0.25, 0.5, 0.25], "same")
     tail = lfilter([1.0], [1.0, -np.exp(-model.base.interval / RINGING)], power)
@@ -77,7 +77,7 @@ def weights(
     echo: Echo | None,
     spread: float = 0.0,
 ) -> Weights:
-    """Return the weights for the noise of a mean of cycles and a relative error of the model.
+    """Return the weights that whiten noise, clutter and errors of the model in a mean of cycles.
 
     Parameters
     ----------
@@ -89,8 +89,8 @@ def weights(
     echo : Echo or None
         Expected echo of the presses; None without presses.
     spread : float
-        Error of the model at all times, relative to the highest echo, due to multiple reflections
-        that the model lacks.
+        Error of the model that is equal at all times, relative to the largest magnitude of the
+        echo, due to multiple reflections that the model lacks.
     """
     variance, losses = _errors(model, noise, error, echo, spread)
     if model.clutter.shapes is None:
@@ -125,14 +125,14 @@ def whitened(
 ) -> tuple[Complex, float]:
     """Return whitened samples (..., n_time), and :attr:`.Weights.log_determinant`.
 
-    This is for weights that are used once: a Cholesky factor of correlated errors is not inverted.
+    It is for weights that are used once: the Cholesky factor of the covariance is not inverted.
 
     Parameters
     ----------
     model, noise, error, echo, spread
         See :func:`weights`.
     samples : ndarray
-        (..., n_time).
+        Baseband in counts, (..., n_time).
     """
     if model.clutter.shapes is None:
         whiten = weights(model, noise, error, echo, spread)
@@ -150,7 +150,8 @@ def _errors(
 ) -> tuple[Array, Complex | None]:
     """Return the variances of the independent errors and the error of the losses, both (n_time,).
 
-    The unknown part of the clutter is not included. The second is one standard deviation, or None.
+    The unknown part of the clutter is not included. The second result is the change of the echo by
+    one standard deviation of the losses, or None.
     """
     variance = np.full(len(model.base.used), noise + model.clutter.variance)
     if echo is None:

@@ -1,4 +1,4 @@
-"""Forward model: the baseband of a cycle of presses, and its Jacobian."""
+"""Forward model: the complex baseband of a cycle with given presses, and its Jacobian."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from acoustube.inversion.wrap import WrappedPath
 from acoustube.waves.scattering import Complex
 
 NUISANCES = "temperature", "gain", "phase", "resonance", "quality_factor", "stretch"
-"""Names of the nuisance parameters, in their order after places and depths."""
+"""Names of the nuisance parameters, in their order in parameter vectors after places and depths."""
 SAME_BORE = 0.005
-"""Largest relative difference of the bores of library and baseband."""
+"""Largest allowed relative difference of the bores of library and baseband."""
 BAND_MARGIN = 0.01
-"""Part of a frequency by which a library's band should exceed the baseband's."""
+"""Fraction of a frequency by which a library's band must exceed the baseband's at each end."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,13 +45,13 @@ class Priors:
     resonance, quality_factor : float
         Relative deviations of the transducer's parameters. Defaults 0.001 and 0.03.
     stretch : float
-        Relative stretch of frequency in the presses, for errors of the bore and of the solver.
-        Default 0.002.
+        Relative change of the frequency at which the presses' scattering is evaluated, for errors
+        of the bore and of the solver. Default 0.002.
     losses : float
-        Imaginary part of frequency in the presses, relative to frequency, for errors of the losses,
-        which make trapped sound decay faster or slower. The value is the rms of a complex error,
-        whose distribution is circular. It is not a parameter, but a part of the covariance. Default
-        0.0004, an eighth of the losses of trapped sound; 0 for no such error.
+        Relative imaginary part of that frequency, for errors of the losses, which make trapped
+        sound decay faster or slower. The value is the rms of a complex error, whose distribution is
+        circular. It is not a parameter, but a part of the covariance. Default 0.0004, an eighth of
+        the losses of trapped sound; 0 for no such error.
     thermometer : float
         Error in K that the thermometer has in all recordings, including those of the untouched
         tube. Not a parameter, but a part of the error of places. Default 0.1; 0 for none.
@@ -146,8 +146,9 @@ class ForwardModel:
     tables : list of ToolTable
         Interpolated scattering of each tool.
     stretch, stretch_by_temperature : float
-        Relative stretch of frequency in the presses at the temperature of `base`, and its
-        derivative in 1/K: the ratio of the library's speed of sound to that of the air, less 1.
+        Relative change of the frequency at which the presses' scattering is evaluated, at the
+        temperature of `base`: the ratio of the library's speed of sound to that of the air, less 1;
+        and its derivative by temperature in 1/K.
 
     Raises
     ------
@@ -170,7 +171,7 @@ class ForwardModel:
         self.tool_library, self.base, self.priors = library, base, priors or Priors()
         self.clutter = clutter or unknown_clutter(base)
         modes = min(len(library.modes), MOST_MODES)
-        # In warmer air, sound of a frequency has the wavelength of a lower frequency.
+        # Sound in warmer air has the wavelength of a lower frequency in the air of the library.
         speed = library.sound_speed / base.speed
         self.stretch = speed - 1
         self.stretch_by_temperature = -speed * base.speed_by_temperature / base.speed
@@ -231,7 +232,9 @@ class ForwardModel:
     def by_losses(
         self, tools: tuple[int, ...], places: Array, depths: Array, nuisances: Array
     ) -> Complex:
-        """Return the derivative of the baseband by the imaginary part of frequency in the presses.
+        """Return the derivative of the baseband by the losses in the presses.
+
+        The losses are a relative imaginary part of the frequency of the presses' scattering.
 
         Parameters
         ----------
@@ -241,9 +244,8 @@ class ForwardModel:
         Returns
         -------
         ndarray
-            Derivative by that part relative to frequency, in counts, (n, n_time). Since scattering
-            is analytic in frequency, it is the derivative by `stretch` with the spectrum multiplied
-            by the imaginary unit.
+            Derivative in counts, (n, n_time). Since scattering is analytic in frequency, it is the
+            derivative by `stretch` with the spectrum multiplied by the imaginary unit.
         """
         temperature = nuisances[:, 0]
         stretch = self.stretch + self.stretch_by_temperature * temperature + nuisances[:, 5]
@@ -295,7 +297,7 @@ class ForwardModel:
         dimmed: list[Complex] = [np.ones_like(through[0])]
         for one in through:
             dimmed.append(dimmed[-1] * one)
-        # The sum is C(0) + sum_i (dimmed_i+1 - dimmed_i) C(z_i).
+        # The sum is C(0) + sum_i (dimmed_i+1 - dimmed_i) C(z_i), with dimmed_i+1 = t_1 ... t_i.
         for i, (value, by_place, warm) in enumerate(beyond):
             share = gain * (dimmed[i + 1] - dimmed[i])
             spectrum[:, 0] += share * value
@@ -328,7 +330,7 @@ class ForwardModel:
 
 
 def needed_band(library: Library, base: Baseband) -> tuple[float, float]:
-    """Return the lowest and the highest frequency in Hz of a library that a baseband needs.
+    """Return the lowest and highest frequency in Hz that a library must cover for a baseband.
 
     They include :data:`BAND_MARGIN`, and are converted to the speed of sound of the library.
     """
@@ -355,7 +357,7 @@ def check_band(
 
 
 def _check_library(library: Library, base: Baseband) -> None:
-    """Raise unless the bore, the modes and the band of a library are those of a baseband."""
+    """Raise ConfigError unless the bore, modes and band of a library suit a baseband."""
     if abs(library.radius / base.radius - 1) > SAME_BORE:
         raise ConfigError(
             f"the library is of a bore of {2 * MM * library.radius:.4g} mm and the baseband of "

@@ -51,8 +51,8 @@ def discrepancy(
     The relative errors of :data:`acoustube.inversion.hypotheses.ERRORS` are equally likely a
     priori. The parameters are marginalised first, since a fit absorbs a part of the error, and the
     error is marginalised next. The root mean square of the error times the echo of a press is taken
-    as wholly along the derivative by position, and by depth. The offsets of the priors are added in
-    quadrature.
+    to lie wholly along the derivative by position, and also wholly along that by depth. The offsets
+    of the priors are added in quadrature.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def restricted_deviance(
     ----------
     model : ForwardModel
     parameters : ndarray
-        (n, n_parameters).
+        As in :class:`acoustube.inversion.fit.Fits`, (n, n_parameters).
     rest : ndarray
         Residual, whitened, (n, n_time).
     slopes : ndarray

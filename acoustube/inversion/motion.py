@@ -34,14 +34,14 @@ from acoustube.waves.scattering import Complex
 Numbers = NDArray[np.integer[Any]]
 
 LIMITS = 2 * LARGEST_STEPS[0], 2 * LARGEST_STEPS[1]
-"""Largest changes of position and depth in an iteration, in m."""
+"""Largest changes of position and depth in one iteration of an update, in m."""
 CONVERGED = 0.1
 """Expected decrease of the cost in an iteration, below which a branch is not iterated further. The
 cost is minus twice the logarithm of the posterior density, up to a constant."""
 LOST = 60.0
-"""Excess over the least cost above which a branch is not refined after its second iteration."""
+"""Excess of a branch's cost over the least above which it gets no more than two iterations."""
 DISTINCT = 0.5e-3, 0.05e-3
-"""Differences of position and depth in m: branches in which all contacts differ by less are one."""
+"""Differences of position and depth in m: branches whose contacts all differ by less are one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +58,7 @@ class Motion:
     drift : float
         Correlation time of the nuisance parameters in s. Default 30.
     survival : float
-        Prior probability that a contact is still present one cycle later. Default 0.9.
+        Prior probability that a contact is still present when tested next. Default 0.9.
 
     Raises
     ------
@@ -90,7 +90,8 @@ class Branches:
     tools : tuple of int
         Index in the library of the tool of each contact, in the order along the tube.
     mean : ndarray
-        Mean of the state (see the module) in each of n branches, (n, 4 n_contacts + 6).
+        Mean in each of n branches of the state, which holds position and depth of each contact,
+        nuisance parameters, and velocities of position and depth, (n, 4 n_contacts + 6).
     covariance : ndarray
         Covariance of the state in each branch, (n, 4 n_contacts + 6, 4 n_contacts + 6).
     level : ndarray
@@ -167,10 +168,7 @@ def at_rest(priors: Priors) -> Branches:
 
 
 def velocities(motion: Motion, contacts: int) -> Array:
-    """Return the standard deviations in m/s of the contacts' velocities, (2 n_contacts,).
-
-    For each contact in turn: of its position and of its depth.
-    """
+    """Return the standard deviations of position and depth velocities in m/s, (2 n_contacts,)."""
     return np.tile([motion.slide, motion.sink], contacts)
 
 
@@ -194,7 +192,7 @@ def predicted(branches: Branches, motion: Motion, priors: Priors, step: float) -
     change = np.eye(q)
     change[place, speed], change[speed, speed] = motion.memory * passed, kept
     change[own, own] = slow
-    # Singer's integrals over the step; of a short one by a series, without cancellation.
+    # Singer's integrals over the time step; for a short step by a series, to avoid cancellation.
     spread = x**3 * (2 / 3 - x / 2) if x < 1e-3 else 2 * (x - passed) - passed**2
     steady, noise = velocities(motion, m) ** 2, np.zeros((q, q))
     noise[speed, speed] = steady * -np.expm1(-2 * x)
@@ -232,7 +230,7 @@ class Update:
     information: Array
 
     def joined(self, other: Update) -> Update:
-        """Return one update with the branches of two of the same contacts, sorted by level."""
+        """Return one update with the branches of two updates of the same contacts, by level."""
         both = Update(
             self.branches.joined(other.branches),
             *(

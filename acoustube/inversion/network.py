@@ -80,7 +80,7 @@ def echo(
     """
     lengths = np.diff(places, axis=1, prepend=0.0)
     m = waves.k.shape[-1]
-    from acoustube.inversion.network_sums import echoes  # imports Numba, not needed by the sensor
+    from acoustube.inversion.network_sums import echoes  # Numba: not needed by acoustube.sensor
 
     k, heat = np.zeros((2, *waves.k.shape[:-1], MOST_MODES), complex)
     k[..., :m], heat[..., :m] = waves.k, waves.by_temperature

@@ -63,7 +63,7 @@ class Entry(NamedTuple):
 class Path(Protocol):
     """Interface of the propagation along a straight or a wrapped tube.
 
-    Temperatures are deviations in K from the nominal one.
+    Temperatures are deviations in K from the nominal one; arrays of them are (n,).
 
     Attributes
     ----------
@@ -88,10 +88,10 @@ class Path(Protocol):
         """
 
     def entry(self, temperature: Array) -> Entry | None:
-        """Return the propagation from face to bend at temperatures (n,); None without a bend."""
+        """Return the propagation from face to bend, for temperatures (n,); None without a bend."""
 
     def sections(self, places: Array, temperature: Array) -> list[Section]:
-        """Return the sections before presses at places (n, n_presses) in m, temperatures (n,)."""
+        """Return the section of tube before each press, for places (n, n_presses) in m."""
 
     def joined(self, matrices: Matrices, place: Array, temperature: Array) -> Matrices | Joined:
         """Return a press's scattering between the modes of the sections, at places (n,) in m."""
@@ -99,14 +99,14 @@ class Path(Protocol):
     def phases(self, places: Array, temperature: float, *, behind: bool = False) -> Complex:
         """Return the modes' one-way phases in rad up to presses at places (n,) in m, (n, n_f, m).
 
-        They begin where the modes of the sections do. They end at the front of each press or, if
-        `behind` is true, at its back.
+        They begin at the face or, in a wrapped tube, at the start of the wrap. They end at the
+        front of each press or, if `behind` is true, at its back.
         """
 
     def plane(self, places: Array) -> tuple[Complex, Complex]:
-        """Return the plane wave's one-way phases from the face to places (n,) in m, (n_f, n).
+        """Return the plane wave's one-way phases in rad from the face to places (n,) in m.
 
-        In rad, and their derivatives by temperature in rad/K.
+        Their derivatives by temperature in rad/K are returned too, both (n_f, n).
         """
 
     def place_at(self, time: Array) -> Array:
@@ -153,7 +153,7 @@ class StraightPath:
         return None
 
     def sections(self, places: Array, temperature: Array) -> list[Section]:
-        """Return the sections before presses at places (n, n_presses) in m, temperatures (n,)."""
+        """Return the section of tube before each press, for places (n, n_presses) in m."""
         k = self.k + temperature[:, None, None] * self.by_temperature
         lengths = np.diff(places, axis=1, prepend=0.0)[:, :, None, None]
         return [
@@ -170,7 +170,7 @@ class StraightPath:
         return np.asarray(places[:, None, None] * (self.k + temperature * self.by_temperature))
 
     def plane(self, places: Array) -> tuple[Complex, Complex]:
-        """Return the plane wave's phases in rad up to places (n,), and changes per K, (n_f, n)."""
+        """Return the plane wave's phases from the face in rad, and changes in rad/K, (n_f, n)."""
         return np.outer(self.k[:, 0], places), np.outer(self.by_temperature[:, 0], places)
 
     def place_at(self, time: Array) -> Array:
@@ -203,7 +203,7 @@ def stretches(
 
 
 def propagation_factor(phases: Complex) -> Complex:
-    """Return exp(-j phases) in single precision, several times as fast as in double."""
+    """Return exp(-j phases) of complex phases in rad, in single precision for speed."""
     turn = phases.real / (2 * np.pi)
     angle = (-2 * np.pi * (turn - np.rint(turn))).astype(np.float32)
     size = np.exp(phases.imag.astype(np.float32))

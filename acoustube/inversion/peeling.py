@@ -2,8 +2,8 @@
 
 What has been received up to a moment is caused by the presses up to half the distance that sound
 has travelled by then. The next press is therefore fitted to the first part of the residual, before
-the echoes of presses behind it arrive, jointly with the presses before it. An echo that is too
-faint to have an onset of its own is sought before that of the next one, once a press is known.
+the echoes of presses behind it arrive, jointly with the presses before it. Once a press is known,
+an echo that is too faint to have an onset of its own is also sought before the next onset.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ LEADING = 0.1
 """Level at which an echo begins, relative to the highest level within :data:`AHEAD`. Lower levels
 before it are the echo's ringing ahead of its onset, due to the edges of the band."""
 AHEAD = 0.5e-3
-"""Time in s after a sample within which the highest level is taken."""
+"""Time in s after a sample within which the highest level for `LEADING` is taken."""
 EARLIER = 0.3
-"""Distance in m by which the search for a press begins before its apparent place, in addition to
-half the length of the drive: the first part of the echo may be too weak to be seen."""
+"""Distance in m by which the search for a press begins before the place that its onset indicates,
+in addition to half the length of the drive: the first part of the echo may be too weak to be seen.
+"""
 AT_ONSET, BEFORE_ONSET = 3, 1
 """Largest numbers of hypotheses that are followed for each number of presses: of those whose last
 press is at an onset, and of those in which it comes before that."""
@@ -84,7 +85,7 @@ def _at_onset(builder: Builder, known: Hypothesis, onset: int) -> list[Hypothesi
 
 
 def _before_onset(builder: Builder, known: Hypothesis, onset: int) -> list[Hypothesis]:
-    """Return hypotheses with one more press whose echo arrives before an onset, and has none.
+    """Return hypotheses with one more press, whose echo has no onset and arrives before one.
 
     The correlation adds up the samples of an echo. It detects echoes whose single samples do not
     exceed the level of an onset, as in the decaying sound of a nearer press. Without a known press
@@ -141,7 +142,7 @@ def _distinct(found: list[Hypothesis]) -> list[Hypothesis]:
 
 
 def _known(one: Hypothesis, others: list[Hypothesis]) -> bool:
-    """Return whether one of several hypotheses has the tools of another one, at the same places."""
+    """Return whether a hypothesis has the tools of one of several others, at the same places."""
     ends = 2 * len(one.tools)
     return any(
         other.tools == one.tools and np.all(np.abs((other.best - one.best)[:ends:2]) < ALIKE)

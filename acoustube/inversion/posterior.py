@@ -53,8 +53,8 @@ class Estimate:
 class Posterior:
     """Mixture of normal distributions, one about each maximum of a hypothesis.
 
-    Where the mean square of the hypothesis's whitened residual exceeds 1, Laplace's variances are
-    multiplied by it and the logarithms of the weights are divided by it.
+    Where the mean square of the hypothesis's whitened residual exceeds 1, the variances (Laplace's
+    approximation) are multiplied by it, and the logarithms of the weights are divided by it.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class Posterior:
         self.weight /= self.weight.sum()
 
     def estimate(self, parameter: int, error: float = 0.0) -> Estimate:
-        """Return the marginal distribution of the parameter of an index.
+        """Return the marginal distribution of the parameter with index `parameter`.
 
         An independent error of standard deviation `error` is added.
         """

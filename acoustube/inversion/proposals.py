@@ -34,10 +34,10 @@ of the search with all modes."""
 NODES = 0.15
 """Spacing in m of the places at which the energies of echoes are computed."""
 WORTH, MORE_PLACES = 40.0, 2
-"""Expected decrease of the cost with the plane wave alone from which on all modes are tried, and
-number by which the places kept in the search with all modes are then increased."""
+"""Least expected decrease of the cost, with the plane wave alone, at which all modes are tried; and
+number of places that the search with all modes keeps beyond the number requested."""
 SMOOTHED = 0.4e-3
-"""Time in s over which the precision of the samples is averaged: the length of an echo."""
+"""Time in s over which the samples' inverse variance is averaged: the length of an echo."""
 
 
 class PlaneFilter:
@@ -113,8 +113,8 @@ class PlaneFilter:
         gain = np.empty(energy.shape)
         fields, ends, scales = [field], [0.0], [1.0]
         for front in fronts:
-            # Transmission through the contacts, without the path up to there, which is part of the
-            # turns, and without the entry, which is part of the shapes.
+            # Two-way transmission through the contacts, without the phase of the path up to there,
+            # which is part of `turns`, and without the entry, which is part of `shapes`.
             passed = front.out[:, 0] * front.into[:, 0] / self.entered
             passed = passed * np.exp(2j * self._phases(np.array([front.place]), behind=True)[0])
             fields.append(passed.conj() * field)
@@ -139,7 +139,7 @@ class PlaneFilter:
         return self.model.path.phases(places, 0.0, behind=behind)[..., 0]
 
     def _dimmed(self, whiten: Weights) -> Array:
-        """Return the precision at the echo of each place over that without contacts, (n,)."""
+        """Return the inverse variance at each place's echo over that without contacts, (n,)."""
         base = self.model.base
         ratio = whiten.sample_precision / self.quiet
         width = max(1, round(SMOOTHED / base.interval))

@@ -22,14 +22,14 @@ from acoustube.base.types import Array
 HARMONICS = 3
 """Number of terms of the staircase's Fourier series."""
 DITHER = 0.1
-"""Rms noise in counts below which the rounding error is neither white nor independent."""
+"""Rms noise in counts below which rounding errors are not white, nor independent between cycles."""
 LEAST_NOISE, MOST_NOISE = 0.19, 0.6
 """Least rms noise in counts at which the staircase can be inverted, and largest at which it needs
 to be."""
 ITERATIONS = 6
 """Number of Gauss-Newton iterations."""
 BISECTIONS = 20
-"""Bisections of an interval of one count, by which an offset is found to 1e-6 counts."""
+"""Number of bisections of an interval of one count, by which an offset is found to 1e-6 counts."""
 LARGEST_STEP = 0.3
 """Largest change of a sample in an iteration, in counts."""
 
@@ -94,11 +94,11 @@ def linearised(counts: NDArray[np.generic], noise: float, quiet: int) -> Lineari
 
 
 def _staircase(voltage: Array, noise: float) -> tuple[Array, Array]:
-    """Return the mean in counts of rounded noisy samples of a voltage, and its derivative by it.
+    """Return the mean of rounded noisy samples of a voltage, and its derivative by the voltage.
 
     Voltage and rms noise are in counts.
     """
-    # One sine and cosine; those of the multiples of the angle by recurrence.
+    # Sines and cosines of multiples of the angle follow by recurrence from those of the angle.
     turn = np.exp(2j * np.pi * voltage)
     power, value, slope = np.ones_like(turn), voltage.copy(), np.ones_like(voltage)
     for k in range(1, HARMONICS + 1):

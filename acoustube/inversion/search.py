@@ -33,11 +33,11 @@ differences is larger."""
 KEPT = 40
 """Number of places whose reflection matrices are cached."""
 CHUNK = 40
-"""Number of nodes whose templates are computed at once."""
+"""Largest number of places whose templates are computed at once."""
 BEFORE, LASTING = 1e-3, 5e-3
 """Times in s before the arrival of a template, and after the end of the drive in it, between which
-its energy is computed. Within the second, the power of sound that is trapped under a press decays
-by a factor of 1000. Modes near their cut-on arrive later, with up to 6 % of the energy 0.6 m behind
+its energy is computed. Within `LASTING`, the power of sound that is trapped under a press decays by
+a factor of 1000. Modes near their cut-on arrive later, with up to 6 % of the energy 0.6 m behind
 a press."""
 FAINTEST = 1e-9
 """Floor of the energies of templates at a place, relative to the highest of them, below which they
@@ -161,9 +161,10 @@ class Templates:
     def _zones(
         self, fronts: list[Front], temperature: float, field: Complex
     ) -> tuple[list[_Zone], Array]:
-        """Return templates of the tube before, between and behind presses, and their starts in m.
+        """Return templates for the tube before, between and behind presses, in parts.
 
-        These parts are divided further where the matrices of presses vary along the tube.
+        The starts of the parts in m are returned too. Where the matrices of presses vary along the
+        tube, it is divided into more parts.
         """
         path, gain = self.model.path, self.model.base.gain
         before = [at_face(self.model, temperature), *fronts]
@@ -196,7 +197,7 @@ class Templates:
 
 
 class _Zone:
-    """Templates for one stretch of the tube: sums of spectra that travel in two modes each.
+    """Templates for one part of the tube: sums of spectra, each with one mode there and one back.
 
     Parameters
     ----------
@@ -205,7 +206,7 @@ class _Zone:
         they travel to the press and back.
     path : Path
     front : Front
-        Waves at the origin: at the last press before the stretch, or at the face.
+        Waves at the origin: the last press before this part of the tube, or the face.
     warmer : float
         Deviation of the temperature in K.
     field : ndarray
@@ -226,7 +227,7 @@ class _Zone:
         return self.path.phases(places, self.warmer) - self.start
 
     def set_energy(self, base: Baseband, whiten: Weights, places: Array) -> None:
-        """Compute the energies of templates at nodes that cover places.
+        """Compute the energies of templates at evenly spaced nodes that cover places.
 
         Parameters
         ----------
@@ -249,7 +250,7 @@ class _Zone:
         self.level = np.log(np.maximum(np.maximum(energy, least), 1e-30).T)
 
     def energy_at(self, places: Array) -> Array:
-        """Return energies (n_depths, n_places) at places, interpolated exponentially."""
+        """Return energies (n_depths, n_places) at places; their logarithms are interpolated."""
         share = np.clip((places - self.nodes[0]) / (self.nodes[1] - self.nodes[0]), 0, None)
         i = np.minimum(share.astype(int), len(self.nodes) - 2)
         share = np.clip(share - i, 0, 1)
@@ -338,9 +339,9 @@ def candidates(found: list[tuple[float, float, float]]) -> Candidates:
 
 
 def at_face(model: ForwardModel, temperature: float) -> Front:
-    """Return the front without a press: the plane wave from the face, in the modes of the path.
+    """Return the front of a tube without a press: the plane wave from the face, in path modes.
 
-    Its place is the face or, in a wrapped tube, minus infinity: the modes begin at the wrap.
+    Its `place` is the face or, in a wrapped tube, minus infinity: the modes begin at the wrap.
     """
     entry = model.path.entry(np.array([temperature]))
     if entry is None:

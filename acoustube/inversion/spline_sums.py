@@ -26,13 +26,13 @@ def sums(
 ) -> Array:
     """Return a spline's values and its derivatives by depth and by a stretch of the frequencies.
 
-    Cubic Hermite interpolation over the depths, cubic B-splines over the frequencies.
+    The interpolation is by cubic Hermite splines over depth, by cubic B-splines over frequency.
 
     Parameters
     ----------
     values, slopes : ndarray
-        B-spline coefficients over frequency of q real functions, and their derivatives by depth, at
-        each of `depths`, (n_depths, n_c, q).
+        The n_c B-spline coefficients over frequency of q real functions, and their derivatives by
+        depth, at each of `depths`, (n_depths, n_c, q).
     depths : ndarray
         Depths of the coefficients, rising, in m, (n_depths,).
     depth : ndarray
@@ -92,8 +92,8 @@ def between(
 ) -> Complex:
     """Return values of an evenly spaced table, and derivatives by column and by row, (3, n, n_f).
 
-    Cubic Hermite interpolation over the rows, linear over the columns. Positions are in steps, and
-    derivatives are per step.
+    The interpolation is cubic Hermite over the rows and linear over the columns. Positions are in
+    steps, and derivatives are per step.
 
     Parameters
     ----------

@@ -17,9 +17,9 @@ from acoustube.waves.modes.grid_modes import mode_numbers
 from acoustube.waves.scattering import Complex
 
 FINER = 2
-"""Frequency step of a tool's scattering matrices over that of the splines."""
+"""Ratio of the frequency step of a tool's scattering matrices to that of the splines."""
 WIDEST_STRETCH = 0.02
-"""Largest relative frequency shift that the splines cover."""
+"""Largest relative change of frequency (stretch) that the splines cover."""
 EARLIEST, DECAY, FAINTEST = -0.4e-3, 0.7e-3, 1e-7
 """Start in s of the impulse response of a press, relative to a reflection at its reference plane;
 decay time in s of its power; floor of its power, relative to the largest."""
@@ -27,7 +27,8 @@ MOST_MODES = 3
 """Largest number of modes that propagate between presses: those of the default bore with cut-ons
 below 1.2 times 42 kHz."""
 ONWARDS, BACK = 9, 10
-"""Indices of the transmission coefficients in :class:`FrontCoefficients`."""
+"""Indices in :class:`FrontCoefficients` of the plane wave's transmission coefficients: away from
+the face, and back towards it."""
 ROUNDING = 1e-5
 """Assumed rms error of the given scattering coefficients, relative to their rms."""
 
@@ -62,11 +63,11 @@ class Matrices(NamedTuple):
 
 
 class FrontCoefficients(NamedTuple):
-    """Reflection at the front of presses, and transmission onwards and back, with derivatives.
+    """Reflection at the front of presses, and transmission in both directions, with derivatives.
 
     The echo of a press with no other press behind it depends on these alone. Each attribute is
     (n, n_f, 11): the reflection coefficients between three modes, row by row, then the plane wave's
-    transmission coefficients onwards and back.
+    transmission coefficients away from the face, and back towards it.
 
     Attributes
     ----------
@@ -93,7 +94,7 @@ class FrontCoefficients(NamedTuple):
 def round_trip(there: list[Complex], here: list[Complex]) -> tuple[Complex, Complex, Complex]:
     """Return the two-way transmission coefficient and its derivatives by depth and stretch.
 
-    `there` and `here` hold the one-way coefficients and the same derivatives of each.
+    `there` and `here` each hold a one-way coefficient, then its derivatives by depth and stretch.
     """
     by_depth, by_stretch = (there[i] * here[0] + there[0] * here[i] for i in (1, 2))
     return there[0] * here[0], by_depth, by_stretch
@@ -176,7 +177,7 @@ class ToolTable:
         return Matrices(*parts.reshape(*parts.shape[:3], 2, self.modes, 2, self.modes))
 
     def front(self, depth: Array, stretch: Array) -> FrontCoefficients:
-        """Return the front coefficients alone; the arguments are those of a call of the object."""
+        """Return the front coefficients alone, for the arguments of a call of the table."""
         return FrontCoefficients(*self._sums(*self._front, depth, stretch))
 
     @cached_property
@@ -187,8 +188,8 @@ class ToolTable:
         )
 
     def _sums(self, values: Complex, slopes: Complex, depth: Array, stretch: Array) -> Complex:
-        """Return coefficients and their derivatives, (3, n, n_f, n_coefficients)."""
-        from acoustube.inversion.spline_sums import sums  # imports Numba, not needed by the sensor
+        """Return coefficients, derivatives by depth and by stretch, (3, n, n_f, n_coefficients)."""
+        from acoustube.inversion.spline_sums import sums  # Numba: not needed by acoustube.sensor
 
         place = (np.outer(1 + np.asarray(stretch, float), self.frequency) - self.start) / self.step
         return np.asarray(sums(
@@ -198,7 +199,7 @@ class ToolTable:
 
 
 def _front_coefficients(part: Complex, modes: int) -> Complex:
-    """Return front coefficients (n_depths, n_f, 11) from the coefficients of whole matrices."""
+    """Return front coefficients (n_depths, n_f, 11) taken from flattened scattering matrices."""
     s = part.reshape(*part.shape[:2], 2, modes, 2, modes)
     found = np.zeros((*part.shape[:2], BACK + 1), part.dtype)
     between = found[..., :ONWARDS].reshape(*part.shape[:2], MOST_MODES, MOST_MODES)
@@ -208,7 +209,7 @@ def _front_coefficients(part: Complex, modes: int) -> Complex:
 
 
 def _refined(given: Array, flat: Complex, wanted: Array, cut_ons: Array) -> Complex:
-    """Return coefficients (n_depths, n_given, n) at other frequencies, (n_depths, n_wanted, n)."""
+    """Return scattering (n_depths, n_given, n) at other frequencies, (n_depths, n_wanted, n)."""
     found = steps(given, wanted, onsets(cut_ons))
     matrix = _refinement(given, wanted)
     return np.stack([restored(found, matrix @ without(found, one), one) for one in flat])

@@ -1,4 +1,4 @@
-"""Scattering of tools over depth: the part of the forward model that is computed beforehand."""
+"""Scattering of tools (indenters) over depth, the part of the forward model computed beforehand."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ from acoustube.waves.scattering import Complex
 FEWEST_DEPTHS = 4
 """Least number of depths of a tool between which its scattering can be interpolated."""
 FEWEST_FREQUENCIES, UNEVEN = 4, 1e-2
-"""Least number of frequencies for interpolation, and largest relative range of their spacing."""
+"""Least number of frequencies of a tool, and largest difference of two of their spacings, relative
+to the mean spacing."""
 POSITIVE = Reals(0, 1e50, ndim=1)
 FIELDS = {
     "shape": Choice(("rod", "punch", "sphere")), "diameter": LENGTH, "radius": BORE,
@@ -47,7 +48,7 @@ ORDER = Number(0, 3, whole=True)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tool:
-    """Scattering and force of one tool that presses one tube, over depth.
+    """Scattering and force of one tool (indenter) that presses one tube, over depth.
 
     Attributes
     ----------
@@ -70,7 +71,8 @@ class Tool:
     s : ndarray
         Scattering matrices, (n, n_f, 2, m, 2, m), as in :class:`acoustube.waves.ModalScattering`.
     error : ndarray
-        Estimated errors of the coefficients, not exceeded at 75 % of the frequencies, (n,).
+        Estimated errors of the scattering coefficients at each depth, not exceeded at 75 % of the
+        frequencies, (n,).
     interpolation_error : ndarray
         Estimated rms errors of interpolated coefficients between each depth and the next, (n - 1,):
         of the reflection of the plane wave relative to its rms, or of the transmission if that
@@ -145,7 +147,7 @@ class Tool:
     def matrix(self, depth: ArrayLike, derivative: int = 0) -> Complex:
         """Return scattering matrices at depths between those computed, or derivatives by depth.
 
-        By a cubic spline over depth.
+        They are interpolated by a cubic spline over depth.
 
         Parameters
         ----------
@@ -163,9 +165,9 @@ class Tool:
 
     @checked(depth=DEPTHS, derivative=ORDER)
     def force_at(self, depth: ArrayLike, derivative: int = 0) -> Array:
-        """Return the force in N at depths in m, or its derivative of an order by depth.
+        """Return the force in N at depths in m, or a derivative of it by depth.
 
-        The force is interpolated by monotone cubics.
+        `derivative` is the order. The force is interpolated by monotone cubics.
         """
         return np.asarray(self._force(np.asarray(depth, float), derivative))
 
@@ -186,7 +188,7 @@ class Tool:
 
 @dataclass(frozen=True, eq=False)
 class Library:
-    """Tools whose scattering was computed in one tube, over one band.
+    """Tools (indenters) whose scattering was computed in one tube, over one frequency band.
 
     Parameters
     ----------
@@ -196,7 +198,7 @@ class Library:
     Raises
     ------
     ConfigError
-        If there is no tool, or tools differ in bore, frequencies or modes.
+        If there is no tool, or tools differ in bore, frequencies, modes or speed of sound.
     """
 
     tools: tuple[Tool, ...]
@@ -244,7 +246,7 @@ class Library:
             if not np.isfinite(tool.young_modulus):
                 raise ConfigError(
                     f"forces of the {tool.name} of the library are not proportional to a known "
-                    "modulus of the wall; make one on rigid ground with acoustube library"
+                    "modulus of the wall; make a library on rigid ground with acoustube library"
                 )
             factor = value / tool.young_modulus
             tools.append(
@@ -273,5 +275,5 @@ class Library:
 
     @property
     def sound_speed(self) -> float:
-        """Speed of sound in m/s in which the matrices were computed."""
+        """Speed of sound in m/s of the air in which the matrices were computed."""
         return self.tools[0].sound_speed

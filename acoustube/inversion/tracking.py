@@ -126,7 +126,7 @@ class ContactTracker:
         counts : ndarray
             Counts of the converter in this cycle, (n_samples,).
         elapsed : float, optional
-            Time in s since the previous cycle; a period of the cycles by default.
+            Time in s since the previous cycle; by default the inverse of the cycle rate.
 
         Raises
         ------
@@ -139,7 +139,7 @@ class ContactTracker:
                 f"a cycle has {len(array)} samples and the model's {base.n_samples}; give cycles "
                 "of one recorder"
             )
-        with self.threads.limit(limits=1, user_api="blas"):  # the matrices are small
+        with self.threads.limit(limits=1, user_api="blas"):  # one thread: small matrices
             samples, noise = base.of_cycles(array[None])
             if not self.n_cycles:
                 start = Builder(self.model, [], samples, noise).start
@@ -242,7 +242,7 @@ class ContactTracker:
         return np.maximum(np.einsum("nij,njk,nki->ni", whole, own, whole), 0.0)
 
     def _misfit(self, rest: Complex, explained: Complex) -> float:
-        """Return the root of the echo's unexplained fraction of energy."""
+        """Return the root of the fraction of the echo's energy that is not explained."""
         expected = self.model.base.freedom * len(rest)
         beyond = np.sum(np.abs(self.quiet(rest)) ** 2) - expected
         return float(np.sqrt(max(beyond, 0.0) / np.sum(np.abs(self.quiet(explained)) ** 2)))

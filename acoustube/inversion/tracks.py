@@ -70,14 +70,14 @@ MERGED = 3
 LOUD = 3.0
 """Smoothed level of the whitened residual above which a new contact is sought at once."""
 BAD = 3.0
-"""Mean square of the whitened residual above which a fit is bad, as is one with a large misfit."""
+"""Mean square of the whitened residual above which a fit is bad, as above a misfit of `MISFIT`."""
 ADAPTED, RISE = 0.2, 1.5
 """Weight of a cycle in the running mean of the model's squared error, and cap on the misfit of the
 cycle relative to that error, so that the echo of an undetected contact hardly raises the mean."""
 ERROR, ERRORS = 0.03, (0.003, 0.4)
 """Initial relative error of the model, and its range."""
 SPREAD, BENT_SPREAD = 5e-4, 6e-3
-"""Error of the model at all times, relative to the highest echo: straight and wrapped tube."""
+"""Error of the model, equal at all times, relative to the highest echo: straight, wrapped tube."""
 SHIFTS = ((-1, 0.0), (0, -0.3e-3), (1, 0.0), (0, 0.3e-3))
 """Shifts of place in half wavelengths and of depth in m by which other maxima are sought: in turn
 the two of place and the two of depth. Shifts of place are also applied to all contacts together."""
@@ -178,7 +178,8 @@ class Track:
     def misfit(self, found: Update, cycle: Cycle) -> float:
         """Return the root of the residual's energy beyond that of noise and clutter.
 
-        It is relative to the echo of the contacts in the previous cycle, and 0 without an echo.
+        It is relative to the root of the energy of the contacts' echo in the previous cycle, and 0
+        without an echo.
         """
         if self.echo is None:
             return 0.0
@@ -323,7 +324,7 @@ class Track:
         n = len(moves)
         mean = np.repeat(best.mean[:1], n, axis=0)
         mean[:, 2 * i : 2 * i + 2] += moves * [self.model.base.half_wavelength, 1.0]
-        if len(self.known) > 1 and moves[0, 0]:  # all together: the first is placed before others
+        if len(self.known) > 1 and moves[0, 0]:  # all at once: the first was placed alone
             joint = np.repeat(best.mean[:1], n, axis=0)
             joint[:, : 2 * len(self.known) : 2] += moves[:, :1] * self.model.base.half_wavelength
             mean = np.concatenate([mean, joint])

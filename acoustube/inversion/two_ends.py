@@ -30,8 +30,8 @@ CONTRADICTION = 16.0
 """Sum of the squared differences of place and of depth, in standard deviations, above which the two
 ends contradict each other. The maxima of both ends that agree best are compared."""
 LEAST = 0.1
-"""Least independent part of a standard deviation, as a fraction of it: the rest is an error that
-both ends share."""
+"""Least fraction of a standard deviation that is taken as independent between the ends. The other
+part is an error that both ends share."""
 NEGLIGIBLE = 1e-9
 """Weight of a maximum, relative to the largest, up to which it is left out."""
 

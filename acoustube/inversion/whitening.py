@@ -1,4 +1,4 @@
-"""Whitening of a cycle's baseband: linear maps that make its errors independent of equal size."""
+"""Whitening of a cycle's baseband: linear maps to independent errors of equal variance."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ class Weights(ABC):
     log_determinant : float
         Logarithm of the determinant of the covariance of all samples, times `freedom`.
     spread : float
-        Error of the model at all times, relative to the highest echo.
+        Standard deviation of the error of the model that is equal at all times, relative to the
+        largest magnitude of the echo.
     """
 
     log_determinant: float
@@ -39,7 +40,7 @@ class Weights(ABC):
 
     @abstractmethod
     def of_derivatives(self, samples: Complex) -> Complex:
-        """Return whitened derivatives (..., n); a full matrix may be in single precision."""
+        """Return whitened derivatives (..., n), in single precision if that is accurate enough."""
 
     @abstractmethod
     def adjoint(self, white: Complex) -> Complex:
@@ -51,12 +52,14 @@ class Weights(ABC):
 
     @abstractmethod
     def energies(self, samples: Complex, start: int) -> Array:
-        """Return the squared norms of whitened samples that are zero but for k consecutive ones.
+        """Return the squared norms (...) that signals have after whitening.
+
+        Before whitening, a signal is zero except for k consecutive samples.
 
         Parameters
         ----------
         samples : ndarray
-            Those that are not zero, in single precision, (..., k).
+            The k samples, in single precision, (..., k).
         start : int
             Index of the first of them.
         """
@@ -100,7 +103,7 @@ class RankOneWeights(Weights):
 
     @staticmethod
     def of(variance: Array, shape: Complex | None, freedom: float, spread: float) -> RankOneWeights:
-        """Return the weights for variances of the independent errors, and the other error.
+        """Return the weights for independent errors and one error of known shape.
 
         Parameters
         ----------
@@ -148,7 +151,7 @@ class RankOneWeights(Weights):
         return replace(self, scale=self.scale[:n], shape=shape)
 
     def energies(self, samples: Complex, start: int) -> Array:
-        """Return the squared norms of whitened samples that are zero but for k consecutive ones."""
+        """Return squared norms after whitening of signals with k nonzero samples in a row."""
         part = slice(start, start + samples.shape[-1])
         scaled = samples * self.scale[part]
         found = np.einsum("...i,...i->...", scaled.real, scaled.real)
@@ -174,7 +177,7 @@ class RankOneWeights(Weights):
 
     @cached_property
     def _recursion(self) -> tuple[Array, Array]:
-        """``s_(k-1)`` and ``sqrt(s_(k-1) / s_k)``, both (n,)."""
+        """Factors ``s_(k-1)`` and ``sqrt(s_(k-1) / s_k)`` of the class's equation, both (n,)."""
         assert self.shape is not None
         power = np.abs(self.shape) ** 2
         until = 1 + np.cumsum(power)
@@ -233,7 +236,7 @@ class FullWeights(Weights):
         return replace(self, matrix=self.matrix[:n, :n])
 
     def energies(self, samples: Complex, start: int) -> Array:
-        """Return the squared norms of whitened samples that are zero but for k consecutive ones."""
+        """Return squared norms after whitening of signals with k nonzero samples in a row."""
         part = slice(start, start + samples.shape[-1])
         weighted = samples @ self._precision[part, part].T
         return np.asarray((samples.real * weighted.real + samples.imag * weighted.imag).sum(-1))

@@ -4,7 +4,7 @@ The scattering of a press is computed in a straight tube. In a wrapped tube, a p
 is taken as straight, the rest as bent. In a bend the straight tube's modes couple all along. The
 bent tube's own modes do not (:mod:`acoustube.waves.bent_modes`): each propagates with its own
 wavenumber, and modes are converted only where the tube becomes straight, at a press and at the
-start of the wrap. The network of presses is therefore that of a straight tube, but for its modes
+start of the wrap. The network of presses is therefore that of a straight tube, except for its modes
 and the joints, which become part of the presses (:mod:`acoustube.inversion.joints`). Curvature and
 torsion vary so slowly along the arm that the bent modes follow them (adiabatic approximation): the
 phase is the integral of the wavenumber.
@@ -37,12 +37,12 @@ from acoustube.waves.scattering import Complex
 MODES = 3
 """Number of modes of the bent tube that are kept."""
 REACH = 0.03
-"""Half length in m of the straight part about a press: 29 mm from a 25 mm rod the lumen has 99 % of
-its area."""
+"""Half length in m of the part about a press that is taken as straight: 29 mm from the middle of
+a press by a 25 mm rod the lumen has 99 % of its area."""
 NEARLY = 1e-3
-"""Length in m by which a wrap may end beyond its tube, as lengths are rounded."""
+"""Length in m by which a wrap may end beyond its tube, since stated lengths are rounded."""
 STRETCH = 0.3
-"""Largest length in m over which templates take the joints as constant."""
+"""Approximate length in m over which the search for presses takes the joints as constant."""
 CURVES = Reals(0, 1e6, "1/m", ndim=1)
 TURNS = Reals(-1e6, 1e6, "1/m", ndim=1)
 
@@ -202,7 +202,7 @@ class WrappedPath:
         return low, high
 
     def entry(self, temperature: Array) -> Entry:
-        """Return the propagation to the start of the wrap, at temperature deviations (n,) in K."""
+        """Return the propagation from face to wrap, at temperature deviations (n,) in K."""
         # Antisymmetric modes are included, since the face reflects them.
         k = np.concatenate([self.k, self.own_k], axis=1)
         by_temperature = np.concatenate([self.by_temperature, self.own_heat], axis=1)
@@ -283,7 +283,7 @@ class WrappedPath:
         return np.asarray(self.phase(at) + temperature * self.warmer(at))
 
     def plane(self, places: Array) -> tuple[Complex, Complex]:
-        """Return the plane wave's phases in rad up to places (n,), and changes per K, (n_f, n)."""
+        """Return the plane wave's phases from the face in rad, and changes in rad/K, (n_f, n)."""
         inside = self._inside(places)
         straight = np.where(places < self.wrap.start, places, self.wrap.start + places - inside)
         value, warmer = (
@@ -310,7 +310,7 @@ class WrappedPath:
 def _bent(
     wrap: Wrap, air: Air, frequency: Array | Complex, radius: float, modes: tuple[str, ...]
 ) -> list[BentModes]:
-    """Return the bent modes at each node of a wrap, in the same order at all nodes."""
+    """Return the bent tube's modes at each place of a wrap, in the same order at all places."""
     found: list[BentModes] = []
     for curvature, torsion in zip(wrap.curvature, wrap.torsion, strict=True):
         part = Bent(length=1.0, curvature=float(curvature), torsion=float(torsion),
@@ -327,7 +327,7 @@ def _joint(bent: BentModes, m: int) -> Complex:
     -------
     ndarray
         Transmission, reflection back to the press, reflection back into the bend, and transmission
-        of the modes that the press does not have, one after the other, (n_f, n_parts).
+        of the modes that the press's matrix lacks, one after the other, (n_f, n_parts).
     """
     n, missing = len(bent.wavenumber), (0, MODES - m)
     parts = (

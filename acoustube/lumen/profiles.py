@@ -19,7 +19,7 @@ INCREMENT = Number(-1e9, 1e9, whole=True)
 TRIANGLES_PER_EDGE = 8
 """Number of triangle edges per edge of an element's face, for the measurement of sections."""
 END_TOLERANCE = 1e-6
-"""Largest distance of an end's vertices from that end, in lengths of the modelled part."""
+"""Distance from an end up to which vertices are the end's, in lengths of the modelled part."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +119,7 @@ def measure(
 
 
 def _ends(undeformed: Array, deformed: Array) -> tuple[float, float]:
-    """Return the z in m between which planes cut the wall all around, from z of its vertices."""
+    """Return the z in m between which planes cut the wall all around, from its vertices' z."""
     margin = END_TOLERANCE * np.ptp(undeformed)
     first, last = undeformed < undeformed.min() + margin, undeformed > undeformed.max() - margin
     return float(deformed[first].max()), float(deformed[last].min())

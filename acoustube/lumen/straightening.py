@@ -54,7 +54,7 @@ def straighten(points: Array, line: Array, *, level: bool = True) -> Array:
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     if not np.all(np.diff(arc) > 0):
         raise ValueError("line has the same point twice in succession; give each once")
-    # A chord h is shorter than its arc of curvature kappa by (h kappa)^2 / 24, here below 1e-5.
+    # A chord h is shorter than an arc of curvature kappa by a fraction (h kappa)^2 / 24 < 1e-5.
     free = (2, [0.0, 0.0])
     curve = CubicSpline(arc, line[:, 1:], bc_type=((1, [0.0, 1.0]) if level else free, free))
     tangent, turn = curve.derivative(), curve.derivative(2)

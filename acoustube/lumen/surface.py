@@ -292,7 +292,7 @@ def _straight(wall: Array, bottom: Array, floor: float, mesh: Mesh) -> Array:
     if mesh.halved[1]:
         half = straighten(wall, bottom)
         return np.concatenate([half[:0:-1] * [1, 1, -1], half])
-    # Heights and arc lengths count from the line's first point, and z from its point nearest to 0.
+    # The line is put at the height `floor`, and its point nearest to z = 0 keeps its z.
     before = np.sum(np.linalg.norm(np.diff(bottom[: middle + 1], axis=0), axis=1))
     start = np.array([0.0, floor - bottom[0, 1], bottom[middle, 2] - before])
     return np.asarray(straighten(wall, bottom, level=False) + start)

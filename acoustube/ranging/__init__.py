@@ -6,7 +6,7 @@ resonance, after its own ring-down. Noise, drift and the ADC follow. Each part c
 
 Reading order: `drives` (bursts, chirps and tones, and their spectra), `rangefinder` (parameters),
 `analogue` (voltage before the converter), `digitiser` (noise, drift and counts of many cycles) and
-`audibility` (level of the drive to the ear).
+`audibility` (A-weighted level of the sound that is sent).
 """
 
 from acoustube.ranging.analogue import blockage, clutter, response

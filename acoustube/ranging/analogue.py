@@ -63,8 +63,8 @@ def blockage(frequency: Array, position: float) -> PlacedScatterer:
     Parameters
     ----------
     frequency : ndarray
-        In Hz, (n,), rising and evenly spaced; the first and the last suffice. From 0 on, they
-        include the mean of a drive.
+        In Hz, (n,), rising and evenly spaced; the first and the last suffice. If the first is 0,
+        the mean of a drive is in the band.
     position : float
         Distance from the source end in m.
 
@@ -86,7 +86,7 @@ def blockage(frequency: Array, position: float) -> PlacedScatterer:
 
 
 def within(reflectors: Sequence[float] | Array, length: float) -> Array:
-    """Return those of reflectors, :data:`MEASURED_SPACING` apart, in a tube of a length in m."""
+    """Return the reflectors, :data:`MEASURED_SPACING` apart, that lie within `length` in m."""
     return np.asarray(reflectors, float)[: int(length / MEASURED_SPACING)]
 
 
@@ -207,7 +207,11 @@ def _plane_waves(
 def _add_reflectors(
     total: Complex, steps: Complex, number: NDArray[np.int_], reflectors: Array
 ) -> None:
-    """Add reflectors in front of the reflection `total`, in place, by Horner's scheme."""
+    """Add reflectors in front of the reflection coefficient `total` (n_f,), in place.
+
+    Horner's scheme begins with the last one. `steps` are the two-way propagation factors over one
+    spacing, (n_waves, n_f), of which reflector i uses row `number[i]`.
+    """
     for i, r in zip(number[::-1], reflectors[::-1], strict=True):
         total *= steps[i]
         total += r
@@ -267,7 +271,7 @@ def response(
     ``send H E + gain H^2 E (p - 1) / (1 + r)``, to which the clutter is added as a part of the
     incident wave (p - 1) / (1 + r). It is computed in the frequency domain and filtered without
     delay, by a raised cosine that falls from 1 at 0.8 of the Nyquist frequency to 0 at that
-    frequency. No finer step is needed, and nothing is aliased. Only where :func:`oversampling`
+    frequency. No finer time step is needed, and nothing is aliased. Only where :func:`oversampling`
     exceeds 1, as for a burst whose band exceeds half the sampling rate, is there no such filter, as
     on EchoTube's board: the voltage is computed at that multiple of the rate, and the samples
     between the recorded ones are dropped.
@@ -308,7 +312,8 @@ def oversampling(rangefinder: Rangefinder) -> int:
     """Return the number of computed samples for each recorded one; 1 if no band is aliased.
 
     The band of a burst is aliased if it exceeds half the sampling rate, that of a chirp or of tones
-    if its middle does. The carrier of a pulse of samples is a resonant transducer's resonance.
+    if its middle does. A sampled pulse counts as a burst at the transducer's resonance frequency,
+    or at 0 if the transducer has none.
     """
     drive, rate = rangefinder.drive, rangefinder.sampling_rate
     usual = rangefinder.resonance if rangefinder.quality_factor > 0 else 0.0

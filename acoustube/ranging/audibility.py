@@ -24,9 +24,9 @@ HEARD = 20e3
 STEP = 10.0
 """Largest frequency step in Hz of the integral over the drive's spectrum."""
 STEPS_PER_LINE = 4
-"""Least number of steps in the reciprocal of the sound's duration, the width of its lines."""
+"""Least number of frequency steps in the width of a spectral line, 1 / duration of the sound."""
 BLOCK = 2000
-"""Number of frequencies at a time."""
+"""Number of frequencies that are computed together."""
 
 
 @checked(frequency=FREQUENCIES)
@@ -59,13 +59,14 @@ def audible_level(rangefinder: Rangefinder) -> float:
 
     Notes
     -----
-    By Parseval's theorem the mean square of a pulse in each of ``cycle_rate`` cycles a second is
-    2 ``cycle_rate`` times the integral of ``|E H|^2`` over frequency; that of the tone is 1/2. The
-    sum of frequency steps is that integral if they are less than half the reciprocal of the sound's
-    duration, which includes Q / f0 of the resonance's ringing.
+    The weighted spectrum of the sound is ``A E H``: A-weighting, spectrum of the drive and response
+    of the resonator. By Parseval's theorem the mean square of one such pulse in each cycle is
+    2 ``cycle_rate`` times the integral of ``|A E H|^2`` over frequencies above 0; that of the tone
+    is 1/2. A sum over frequency steps equals the integral if they are less than half the reciprocal
+    of the sound's duration, which includes Q / f0 of the resonance's ringing.
     """
     r = rangefinder
-    # Of a drive that is sampled: enough for its carrier, whatever the ADC's.
+    # Sampling rate in Hz of a drive without a closed-form spectrum: enough for its carrier.
     rate = max(r.sampling_rate, 10 * HEARD, getattr(r.drive, "frequency", 0.0))
     lasting = r.drive.duration + r.quality_factor / r.resonance
     n = ceil(rate / min(STEP, 1 / (STEPS_PER_LINE * lasting)))

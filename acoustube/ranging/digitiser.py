@@ -105,7 +105,7 @@ def _varied(mean: Array, rangefinder: Rangefinder, cycles: Numbers, seed: int) -
     if rangefinder.jitter == 0 and rangefinder.gain_wander == 0:
         return mean
     draws = np.array([_generator(seed, TRIGGER_STREAM, cycle).normal(size=2) for cycle in cycles])
-    n = next_fast_len(2 * len(mean), real=True)  # so that the end does not enter the start
+    n = next_fast_len(2 * len(mean), real=True)  # padded against wrap-around of late samples
     turn = -2j * pi * np.fft.rfftfreq(n, 1 / rangefinder.sampling_rate)
     late = np.exp(turn * (rangefinder.jitter * draws[:, :1]))
     each = np.fft.irfft(np.fft.rfft(mean, n) * late, n)[:, : len(mean)]
@@ -198,7 +198,7 @@ def record(
     ValueError
         As :func:`response`, or if n_cycles < 1 or first_cycle < 0.
     """
-    import xarray as xr  # 70 MB with pandas, not needed by the fast sensor
+    import xarray as xr  # 70 MB with pandas; acoustube.sensor needs none of it
 
     for name, value, least in (("n_cycles", n_cycles, 1), ("first_cycle", first_cycle, 0)):
         if value < least:

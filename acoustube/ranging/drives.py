@@ -23,7 +23,7 @@ from acoustube.base.types import Array
 from acoustube.waves.scattering import Complex
 
 WINDOWS = {"rectangular": (1.0, 0.0), "hann": (0.5, 0.5), "hamming": (0.54, 0.46)}
-"""Windows a - b cos(2 pi t / T) by name: a and b."""
+"""Windows a - b cos(2 pi t / T) over a duration T by name: a and b."""
 FREQUENCY = Number(1e3, 1e6, "Hz", "frequency of the drive")
 DURATION = Number(1e-5, 1.0, "s", "duration of the drive")
 MOST_TONES = 64
@@ -60,9 +60,9 @@ class Burst(Section):
     frequency : float
         In Hz. Default 42 kHz (data sheet of the rangefinder).
     cycles : float
-        Default 13 (data sheet).
+        Number of periods. Default 13 (data sheet).
     shape : str
-        ``square``, as from a logic output (default, chosen), or ``sine``.
+        Waveform: ``square``, as from a logic output (default, chosen), or ``sine``.
 
     Raises
     ------
@@ -158,7 +158,7 @@ class Chirp(Section):
     def spectrum(self, frequency: Complex) -> Complex:
         """Return the Fourier transform (unit: s) at frequencies in Hz, real or complex.
 
-        A closed form by the Faddeeva function; a window is a sum of shifted spectra.
+        A closed form by the Faddeeva function; a window adds shifted spectra.
         """
         level, cosine = WINDOWS[self.window]
         lines = level * self._rectangular(frequency)
@@ -261,7 +261,10 @@ def _fresnel(off: Complex, rate: float, end: float) -> Complex:
     root = np.exp(-0.25j * pi) * sqrt(pi * rate)
 
     def tail(u: Complex) -> Complex:
-        """Return exp(-j pi rate u^2) times the integral from u away from 0 to infinity, scaled."""
+        """Return the scaled integral from u to infinity, or to -infinity if u < 0.
+
+        It is multiplied by exp(-j pi rate u^2) 2 root / sqrt(pi).
+        """
         return np.where(u.real >= 0, 1.0, -1.0) * wofz(1j * root * np.where(u.real >= 0, u, -u))
 
     turn = np.exp(1j * pi * rate * end * (2 * a + end))

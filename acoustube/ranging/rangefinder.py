@@ -91,8 +91,8 @@ class Rangefinder(Section):
         paper and of EchoTube, 6 inches in the data sheet.
     gain : float
         Voltage in V received from a steady drive that a lossless tube reflects completely. Default
-        1.25, chosen so that the arctan of the sleeve paper's calibration has the published
-        asymptotes: 0.64 and 0.11 (as tanh) where 0.635 and 0.104 are published.
+        1.25, chosen so that the tanh over distance of the sleeve paper's calibration has nearly the
+        published asymptotes: 0.64 and 0.11 where 0.635 and 0.104 are published.
     face_reflection : complex
         Pressure reflection coefficient of the transducer's face. Default 0.3, chosen: no second
         echo of a press is reported.
@@ -145,8 +145,8 @@ class Rangefinder(Section):
     drive: Drive = field(default=Burst(), metadata={"rule": DRIVE})
     resonance: float = setting(42e3, Number(1e3, 1e6, "Hz", "resonance of the transducer"))
     quality_factor: float = setting(14.0, Number(0, 1e3, "", "0 for a flat transducer"))
-    low_corner: float = setting(0.0, Number(0, 1e6, "Hz", "of the high-pass; 0 for none"))
-    high_corner: float = setting(0.0, Number(0, 1e6, "Hz", "of the low-pass; 0 for none"))
+    low_corner: float = setting(0.0, Number(0, 1e6, "Hz", "corner of the high-pass; 0 for none"))
+    high_corner: float = setting(0.0, Number(0, 1e6, "Hz", "corner of the low-pass; 0 for none"))
     send: float = setting(170.0, Number(0, 1e6, "V", "received level of the direct drive"))
     gain: float = setting(1.25, Number(0, 1e6, "V", "received level of a complete reflection"))
     face_reflection: complex = field(default=0.3, metadata={"rule": FACE})
@@ -157,15 +157,15 @@ class Rangefinder(Section):
     drift: float = setting(5e-3, Number(0, 1e3, "V", "rms of the slow drift"))
     sampling_rate: float = setting(200e3, Number(1e3, 1e8, "Hz", "samples per second"))
     n_samples: int = setting(4000, Number(16, 1e6, "", "samples of a cycle", whole=True))
-    bits: int = setting(12, Number(1, 16, "", "of the ADC", whole=True))
-    full_scale: float = setting(1.8, Number(1e-6, 1e6, "V", "voltage of the highest count"))
+    bits: int = setting(12, Number(1, 16, "", "bits of the ADC", whole=True))
+    full_scale: float = setting(1.8, Number(1e-6, 1e6, "V", "voltage of 2**bits counts"))
     quantised: bool = field(default=True, metadata={"rule": FLAG})
     cycle_rate: float = setting(20.0, Number(1e-3, 1e5, "Hz", "cycles per second"))
     jitter: float = setting(0.0, Number(0, 1e-3, "s", "rms of the trigger's delay"))
     gain_wander: float = setting(0.0, Number(0, 1, "", "relative rms of the gain"))
     lead: float = setting(0.0, Number(0, 1, "s", "time before the drive"))
-    temperature_bias: float = setting(0.5, Number(-50, 50, "K", "error of the temperature"))
-    temperature_noise: float = setting(0.1, Number(0, 50, "K", "error of the temperature"))
+    temperature_bias: float = setting(0.5, Number(-50, 50, "K", "mean error of temperature"))
+    temperature_noise: float = setting(0.1, Number(0, 50, "K", "random error of temperature"))
     temperature_resolution: float = setting(0.1, Number(0, 50, "K", "step of the temperature"))
 
     def __post_init__(self) -> None:

@@ -19,7 +19,8 @@ SEND_PULSE_END = 3e-3
 """Time in s up to which the send pulse may reach the extreme codes."""
 
 MIN_CLIPPED_SAMPLES = 3
-"""Samples at an extreme code after the send pulse that count as clipping: an echo has one peak."""
+"""Least number of samples at an extreme code after the send pulse that count as clipping: an echo
+has one peak."""
 
 MIN_CODE_RANGE = 64
 """Range of codes below which noise reaches the extremes repeatedly without clipping."""
@@ -59,7 +60,7 @@ def _blocks(signal: NDArray[Any]) -> Iterator[tuple[int, NDArray[Any]]]:
 def check_samples(path: Path, signal: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return each cycle's extremes; raise ConfigError if samples are unusable.
 
-    They are if there are none, one is not finite, or all are equal.
+    Samples are unusable if there are none, one is not finite, or all are equal.
 
     Parameters
     ----------
@@ -101,7 +102,7 @@ def check_samples(path: Path, signal: NDArray[Any]) -> tuple[NDArray[Any], NDArr
 def silent_cycles(low: NDArray[Any], high: NDArray[Any]) -> list[str]:
     """Return a warning with the number of silent cycles, or no warning if there are none.
 
-    Arguments and result are like those of :func:`clipped_cycles`.
+    `low` and `high` are the extremes of each cycle, (cycle,), from :func:`check_samples`.
     """
     count = int(np.sum(low == high))
     text = f"{count} of {len(low)} cycles are silent: all their samples are equal."

@@ -33,7 +33,7 @@ RATE = Number(1e3, 1e7, "Hz", "samples per second")
 SAMPLES = Number(2, 2**40, "samples", "length of a cycle", whole=True)
 
 MAX_LEAD_TIME = 0.1
-"""Largest distance in s of a time axis's start from zero at which zero is taken for the trigger."""
+"""Largest distance in s of a time axis's start from 0 at which 0 is taken as the trigger's time."""
 RATE_TOLERANCE = 1e-3
 """Relative tolerance between a rate and the time axis: the accuracy of times with four digits."""
 
@@ -41,7 +41,7 @@ ADVICE = "copy or export it again"
 """What to do about a damaged netCDF file."""
 
 SUSPECT_CYCLE_LENGTH = 0.03
-"""Duration in s above which one cycle may be several: in it sound travels 5 m and back."""
+"""Duration in s above which a cycle may be several cycles: in it, sound travels 5 m and back."""
 
 LABELS = {
     "true_distance": ("m", "true distance"),
@@ -202,7 +202,7 @@ def assemble(
 
 
 def _signal(path: Path, known: Named, others: Named) -> NDArray[Any]:
-    """Return the array ``signal``, or else take the only numeric one of most axes from `others`."""
+    """Return ``signal``, or else take from `others` the only numeric array with the most axes."""
     if "signal" in known:
         return _real(path, known["signal"])
     arrays = {name: np.asarray(value) for name, value in others.items()}

@@ -42,7 +42,8 @@ class Frame(NamedTuple):
     ----------
     pulse_width : int
         Time of flight that the rangefinder itself measured, in us, 0 to 65535. The board stores it
-        when the echo arrives: after the cycle's last sample, the frame has the previous cycle's.
+        when the echo arrives: if that is after the cycle's last sample, the frame contains the
+        value of the previous cycle.
     samples : array of shape (time,)
         Unsigned 8-bit samples, beginning with the cycle's third: the pulse width replaces the
         first two.
@@ -131,7 +132,7 @@ class Decoder:
             self.n_garbled += 1
 
     def _finish(self) -> Frame | None:
-        """Return the frame that a zero byte has completed, or count a garbled one, return None."""
+        """Return the frame that a zero byte completes; None, and count it, if it is garbled."""
         payload = None if self._too_long else self._payload()
         known = self._too_long or not self._piece
         first, self._first, self._too_long = self._first, False, False
@@ -261,7 +262,7 @@ class Receiver:
                 data = self._port.read(max(1, self._port.in_waiting))
                 if data:
                     self._keep(self._decoder.feed(data), time.perf_counter())
-        except Exception as error:  # else lost with the thread; pyserial's own are OSErrors
+        except Exception as error:  # otherwise lost with the thread; OSError from pyserial
             with self._news:
                 self.failure = error
                 self._news.notify()

@@ -70,8 +70,8 @@ def read(
         coordinates ``cycle`` and ``time`` in s. Attributes: ``sampling_rate`` in Hz, ``source``,
         ``file``, ``warnings`` (by line). A file of :func:`write` is returned as it was written if
         no other argument is given and there is no sidecar file; else its attributes and its
-        variables of one value per cycle are kept, except those that are given. The mean error of
-        the thermometer that it states is zero if the temperature is given.
+        variables of one value per cycle are kept, except those that are given. If the temperature
+        is given, the mean error of the thermometer that the file states is set to zero.
 
     Raises
     ------
@@ -121,11 +121,11 @@ def read(
 
 
 def _with_own(path: Path, data: xr.Dataset, own: xr.Dataset, elsewhere: set[str]) -> xr.Dataset:
-    """Return a recording with what its file states, which acoustube wrote, where it holds.
+    """Return a recording with attributes and variables of its file, which acoustube wrote.
 
-    These are its attributes, and its variables of one value per cycle as they were written, except
-    those of the names stated `elsewhere`. The error of the thermometer is not that of a given
-    temperature.
+    The variables are those of one value per cycle, as they were written, except those of the names
+    stated `elsewhere`. If the temperature is stated elsewhere, the error of the thermometer is set
+    to zero.
     """
     notes = f"{own.attrs.get('warnings', '')}\n{data.attrs['warnings']}".split("\n")
     kept = own.attrs | {

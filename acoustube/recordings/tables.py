@@ -161,7 +161,7 @@ def separate_known(contents: Mapping[str, Any]) -> tuple[Contents, Contents]:
 
 
 def _order(name: str) -> tuple[bool, bool]:
-    """Return whether a name is not this package's for its quantity, and whether it lacks a unit."""
+    """Return a sorting key: whether a name is unknown or a synonym, and whether it lacks a unit."""
     quantity = meaning(name)[0]
     return not quantity or not name.startswith(quantity), _lacks_unit(name)
 
@@ -257,7 +257,7 @@ def _split(row: str) -> tuple[str, list[str]]:
 
 
 def _decimal_sign(rows: list[str], separator: str) -> str:
-    """Return a comma if a cell of rows that it does not separate is a number with one."""
+    """Return a comma if it separates no cells and a cell is a number with one, else a point."""
     edge = rf"\s*(?:\"|{separator}|^|$)\s*"
     number = re.compile(rf"{edge}[-+]?\d*,\d+(?:[eE][-+]?\d+)?{edge}")
     found = separator != "," and any("," in row and number.search(row) for row in rows)
@@ -265,7 +265,7 @@ def _decimal_sign(rows: list[str], separator: str) -> str:
 
 
 def _settings(path: Path, comments: list[str]) -> Contents:
-    """Return the values of comments ``# key: value unit``; a time there is that of the day."""
+    """Return values of comments ``# key: value unit``, except times, which are those of the day."""
     pairs = (re.match(r"#\s*([^:=]+?)\s*[:=]\s*(\S+)\s*(.*)", line) for line in comments)
     return {
         with_unit(path, key, "" if value.endswith((",", ";")) else _unit_of(unit)): _number(value)

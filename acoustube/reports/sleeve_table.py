@@ -1,4 +1,4 @@
-"""Layout of a sleeve as sentences, and as a table of the position of each distance."""
+"""Layout of a sleeve in sentences, and a table of positions on the arm by distance along a tube."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COLUMNS = (
     "tube", "distance_cm", "x_mm", "y_mm", "z_mm", "along_cm", "angle_deg", "loop", "heard",
 )  # fmt: skip
 ROUNDING = 1e-9
-"""Error of distances in m by rounding."""
+"""Rounding error in m that is allowed where a distance is compared with a detection range."""
 
 
 def fit_in_words(path: Path, axis: str, markers: Markers, arm: Arm) -> list[str]:
@@ -33,7 +33,7 @@ def fit_in_words(path: Path, axis: str, markers: Markers, arm: Arm) -> list[str]
     path : Path
         File of the markers.
     axis : str
-        ``fitted`` or ``z``.
+        Axis of the arm: ``fitted`` midway between the columns of markers, or ``z`` of the markers.
     markers : Markers
     arm : Arm
     """
@@ -61,7 +61,7 @@ def fit_in_words(path: Path, axis: str, markers: Markers, arm: Arm) -> list[str]
 
 
 def in_words(tubes: Sequence[Helix], found: Layout) -> list[str]:
-    """Return the lengths, coverage and resolution of a layout, one sentence each."""
+    """Return sentences on tube lengths, spacing, detection ranges, coverage and resolution."""
     tube = tubes[0]
     lengths = " and ".join(f"{CM * length:.1f}" for length in found.tube_lengths)
     hand = f"{tube.hand}-handed"
@@ -102,12 +102,12 @@ def contact_in_words(tubes: Sequence[Helix], found: Layout, contact: tuple[int, 
     tubes : sequence of Helix
     found : Layout
     contact : tuple of int and float
-        Tube, counted from 0, and distance in m.
+        Index of the tube, from 0, and distance from the sensor along it in m.
 
     Raises
     ------
     ConfigError
-        If the sleeve has no such tube, or the distance is outside its range of detection.
+        If the sleeve has no such tube, or the distance is outside its detection range.
     """
     number, distance = contact
     if number >= len(tubes):
@@ -138,20 +138,20 @@ def contact_in_words(tubes: Sequence[Helix], found: Layout, contact: tuple[int, 
 
 
 def _loop(tube: Helix, z: ArrayLike) -> NDArray[np.int64]:
-    """Return the numbers of the loops at heights z in m, from 1; the end is on the last loop."""
+    """Return the number of the loop, from 1, at each position z in m along the arm's axis."""
     loops = np.asarray(z) / tube.pitch
     return np.minimum(loops.astype(int) + 1, int(np.ceil(tube.loops)))
 
 
 def _next_in_words(tubes: Sequence[Helix], distance: float, number: int) -> str:
-    """Return which loop is next to the one at a distance in m on a tube, counted from 0."""
+    """Return a sentence on the loop nearest to the point at a distance in m along a tube."""
     beside = nearest(tubes, tubes[number].place(distance))
     if not np.isfinite(beside.next_gap):
         return "there is no other loop"
     return (
         f"the next loop, of tube {int(beside.next_tube) + 1}, is "
-        f"{MM * float(beside.next_gap):.0f} mm away, where it reads "
-        f"{CM * float(beside.next_distance):.0f} cm"
+        f"{MM * float(beside.next_gap):.0f} mm away, at "
+        f"{CM * float(beside.next_distance):.0f} cm along that tube"
     )
 
 
@@ -161,7 +161,7 @@ def write_table(path: Path, tubes: Sequence[Helix], found: Layout, step: float) 
     Parameters
     ----------
     path : Path
-        The CSV file; x, y and z are those of the markers, or of the arm where there are none.
+        The CSV file; its x, y and z are coordinates of the markers, or of the arm without markers.
     tubes : sequence of Helix
     found : Layout
     step : float

@@ -1,9 +1,9 @@
-"""Presses at given contact forces, interpolated on a load path that was solved by depth.
+"""Presses at given contact forces, interpolated on a load path that was solved at given depths.
 
-A press is solved by depth, since a wall that snaps through has several states at one force. As long
-as the force rises along the path, each force belongs to one depth. On soft ground part of the
-indentation depth is the settlement of the ground. The sound depends on the closure of the lumen,
-which is therefore returned too.
+The finite elements prescribe the depth, since a wall that snaps through has several states at one
+force. As long as the force rises along the path, each force belongs to one depth. On soft ground
+part of the indentation depth is the settlement of the ground. The sound depends on the loss of
+height of the lumen, which is therefore returned too.
 """
 
 from __future__ import annotations
@@ -20,19 +20,20 @@ from acoustube.indentation import DepthPath, Indentation
 from acoustube.lumen import inner_wall, measure
 
 FORCE_DROP_TOLERANCE = 1e-3
-"""Fall of the force between increments, relative to its maximum, that counts as solver error."""
+"""Largest fall of the force below its earlier maximum that counts as solver error, relative to the
+largest force of the load path."""
 
 LARGEST_SPACING = 1 / 12
 """Largest spacing of the depths of a load path that is interpolated, in bore diameters."""
 BISECTIONS = 50
-"""Number of bisections between two rows of a load path, down to the round-off of a depth."""
+"""Number of bisections between two solved depths of a load path, down to round-off."""
 
 
 @dataclass(frozen=True, eq=False)
 class ByForce:
     """Presses at given contact forces; all arrays have the shape of the forces.
 
-    With several indenters the lumen and the ground are those at the first.
+    With several indenters, lumen and ground are those at the first one.
 
     Attributes
     ----------
@@ -47,8 +48,8 @@ class ByForce:
     lumen_area : array
         Cross-section of the lumen at the press, in m2.
     force_error : array
-        Estimated error of the force at that depth in N. The force of a press solved at that depth
-        differs from the requested one by up to about twice this error.
+        Estimated error of the interpolated force at `depth`, in N. The force of a press solved at
+        that depth differs from the requested one by up to about twice this error.
     """
 
     force: Array
@@ -72,17 +73,17 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
     Raises
     ------
     ConfigError
-        If a force is negative or exceeds that at the end of the path, or if the depths of the path
-        are more than :data:`LARGEST_SPACING` bore diameters apart or fewer than five, with that of
-        first contact.
+        If a force is negative or exceeds that at the end of the path, or if the path has fewer than
+        five depths, with that of first contact, or depths more than :data:`LARGEST_SPACING` bore
+        diameters apart.
     SimulationError
         If the force falls along the path, so that a force belongs to several depths.
 
     Notes
     -----
     The depth is where the cubic spline of the force over depth has the given force, between the
-    first two rows that enclose it. The lumen is that of the interpolated wall at this depth, and
-    the error that of :meth:`acoustube.indentation.DepthPath.error`.
+    first two solved depths whose forces enclose it. The lumen is that of the interpolated
+    wall at this depth, and the error that of :meth:`acoustube.indentation.DepthPath.error`.
     """
     wanted, path = np.asarray(force, float), indentation.contact_force
     spacing = LARGEST_SPACING * indentation.tube.inner_diameter
@@ -118,7 +119,7 @@ def by_force(indentation: Indentation, force: ArrayLike) -> ByForce:
 def _depths(spline: DepthPath, force: Array) -> Array:
     """Return the depths in m, (n,), at which the spline has forces in N, (n,), by bisection."""
     rows, path = spline.indentation.depth, spline.indentation.contact_force
-    # The first row at or above the force; the row before is below the force.
+    # The first solved depth whose force is at least that given; the one before has a lower force.
     after = np.searchsorted(np.maximum.accumulate(path), force)
     low, high = rows[np.maximum(after - 1, 0)], rows[after]
     for _ in range(BISECTIONS):

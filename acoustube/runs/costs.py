@@ -9,16 +9,14 @@ from acoustube.runs.config.si import SIPress, SISettings
 # Measured with benchmarks/fdtd_throughput.py and the default run on two quiet cores; used only for
 # the estimate that a command prints first.
 FIXED_SECONDS, FIXED_GIGABYTES = 20.0, 0.6
-"""Time in s and memory in GB of a simulation, without those that grow with the FDTD grid."""
+"""Time in s and memory in GB of a simulation, without the parts that grow with the FDTD grid."""
 STEPS_PER_LAYER = 3.9
-"""Time steps of FDTD of a whole tube per axial layer of cells, for both source ends together.
-
-Half of all, in which a layer is silent and is not advanced, are not counted.
-"""
+"""Number of FDTD time steps of a whole tube, for both source ends together, over its number of
+axial layers of cells. Steps that skip a layer because it is silent, about half, are not counted."""
 SCATTERING_STEPS = 8 * 8000.0
 """Time steps of a scattering matrix by FDTD at one cell per mm: eight runs of 12 ms."""
 SECONDS_PER_CELL_STEP, LOSSY, GIGABYTES_PER_CELL = 0.6e-9, 3.0, 3e-7
-"""Costs of FDTD: time in s per cell and step; factor of the time with losses; GB per cell."""
+"""Costs of FDTD: time in s per cell and step, its factor with losses, and memory in GB per cell."""
 SPECTRAL_SECONDS = 1.5
 """Time in s of a scattering matrix by the spectral solver, without losses."""
 PRESS_SECONDS, PRESS_GIGABYTES = {2: (5.0, 2.5), 1: (10.0, 6.0), 0: (30.0, 20.0)}, 1.0

@@ -40,7 +40,8 @@ CONTACT_COLUMNS = (
     "probability", "distance_cm", "distance_sd_cm", "depth_mm", "depth_sd_mm", "force_n",
     "force_sd_n", "indenter_mm", "misfit", "shape",
 )  # fmt: skip
-"""Columns of a contact in tables; ``sd`` is a standard deviation."""
+"""Columns of a contact in tables: ``sd`` is a standard deviation, ``misfit`` the relative error of
+the forward model."""
 COLUMNS = ("recording", "group", "contact", *CONTACT_COLUMNS)
 """Columns of the table of contacts of recordings."""
 USUAL_LENGTH = 2.5
@@ -51,7 +52,7 @@ also that up to which a forward model is reused if there are untouched cycles: t
 shows the difference, and the inversion estimates it."""
 EQUAL_AIR = 0.02
 """Largest difference of air temperature in K up to which a forward model is reused if there are no
-untouched cycles: 0.06 mm at 1.6 m."""
+untouched cycles. Such a difference changes an estimated distance of 1.6 m by 0.06 mm."""
 BLOCK = 50
 """Least number of untouched cycles whose temperatures are averaged; a recording of fewer is one
 block. The thermometer's noise is negligible in the mean of so many."""
@@ -92,7 +93,7 @@ class Sensor:
     wrap: Wrap | None = None
 
     def own(self, library: Library) -> Library:
-        """Return a library with forces scaled to the sensor's modulus, unchanged if unknown.
+        """Return a library with forces scaled to the sensor's modulus, as it is if that is unknown.
 
         Raises
         ------
@@ -166,7 +167,8 @@ class RecordingInverter:
     library : Library
     sensor : Sensor
     untouched : sequence of (Path, xarray.Dataset), optional
-        Recordings of the untouched tube, from which its clutter is estimated; none for no clutter.
+        Recordings of the untouched tube, from which its clutter is estimated; without any, no
+        clutter is assumed.
     most : int
         Largest number of contacts.
     """
@@ -218,7 +220,7 @@ class RecordingInverter:
         size : int
             Number of cycles in a group; the last group may have fewer.
         check : callable
-            Called before each group, to raise an interrupt that was lost.
+            Called before each group, to raise a keyboard interrupt that a library suppressed.
 
         Raises
         ------
@@ -302,7 +304,7 @@ class RecordingInverter:
     def _untouched(self, path: Path, data: xr.Dataset) -> list[tuple[Any, float]]:
         """Return the untouched cycles, (n, n_samples), at each air temperature in degC.
 
-        Blocks of cycles whose mean temperatures differ by :data:`SAME_AIR` or less are together.
+        Blocks of cycles whose mean temperatures differ by :data:`SAME_AIR` or less are joined.
         """
         found: list[tuple[Any, Any]] = []
         for source, one in self.untouched:

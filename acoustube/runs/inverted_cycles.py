@@ -16,9 +16,9 @@ from acoustube.inversion import Contact, Estimate, Inversion
 from acoustube.runs.inversion import RecordingInverter
 
 LEVELS = 0.68, 0.9
-"""Probabilities of the central intervals: to two digits those of the trained estimators."""
+"""Probabilities of the central intervals: those of the trained estimators, to two digits."""
 APART = "press", "tube", "session"
-"""Labels of a dataset whose cycles are not in one group: air, clutter or thermometer may differ."""
+"""Labels that are equal within a group, since air, clutter or thermometer may differ with them."""
 
 
 def inverted(
@@ -82,7 +82,7 @@ def alike(data: xr.Dataset, labels: Sequence[str], size: int) -> Iterator[tuple[
     """Yield groups of consecutive cycles with equal labels, and the finished fraction of cycles.
 
     A group has at most `size` cycles, of one case, specimen and session where these are stated. A
-    label that is nan counts as -1, which no other label is.
+    label that is nan counts as -1, a value that no other label has.
     """
     columns = [np.nan_to_num(data[name].values.astype(float), nan=-1.0) for name in labels]
     columns += [

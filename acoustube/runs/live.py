@@ -59,7 +59,7 @@ class Stream:
     port : str
         Name of the serial port.
     calibration, prominence
-        See :func:`acoustube.runs.recordings.chosen`.
+        Calibration, and least prominence of an echo; see :func:`acoustube.runs.recordings.chosen`.
     temperature : float
         Air temperature in degC.
     rate : float
@@ -67,7 +67,7 @@ class Stream:
         cycles are processed without the matched filter, and distances are accurate to several mm
         only; see :func:`acoustube.signals.without_aliased_template`.
     frame_bytes : int
-        See :class:`acoustube.recordings.echotube_stream.Decoder`.
+        Bytes of a cycle; see :class:`acoustube.recordings.echotube_stream.Decoder`.
     baud : int
         Bits per second of the line.
     """
@@ -98,7 +98,8 @@ class Tally:
     found : Tracked or None
         Contacts of the last cycle that was inverted; None before the first.
     n_garbled, n_joined, n_bytes : int
-        See :class:`acoustube.recordings.echotube_stream.Decoder`.
+        Counts of the :class:`acoustube.recordings.echotube_stream.Decoder`: damaged frames, frames
+        that reception joined in the middle (0 or 1), and received bytes.
     n_dropped : int
         Number of intact cycles that were not processed for lack of time.
     arrivals : deque of float
@@ -158,7 +159,7 @@ def follow(
     duration: float | None = None,
     contacts: Contacts | None = None,
 ) -> tuple[Tally, Exception | None]:
-    """Process the cycles of a board until the stream or the duration ends, or an interrupt.
+    """Process the cycles of a board until the stream or the duration ends, or an interrupt comes.
 
     Parameters
     ----------
@@ -287,7 +288,7 @@ def _log(
         yield lambda _: None
         return
     try:
-        # With its header at once: an interrupt in between would leave an empty file behind.
+        # The header is written at once: an interrupt before it would leave an empty file behind.
         file = begin(out, _csv_row(columns))
     except OSError as error:
         raise ConfigError(
@@ -322,14 +323,14 @@ def _csv_row(row: Sequence[object]) -> bytes:
 def _taken(
     receiver: Receiver, duration: float | None, check: Callable[[], None]
 ) -> Iterator[tuple[float, Frame | None]]:
-    """Yield arrival times in s and cycles, None after a time-out, until the stream ends."""
+    """Yield arrival time in s and frame of each cycle, None while none arrives, until the end."""
     end = np.inf if duration is None else time.perf_counter() + duration
     while True:
         check()
         timed_out = time.perf_counter() > end
         if timed_out:
             receiver.stop()
-        # Checked before the queue, which then holds all cycles that arrived before the end.
+        # This is checked before the queue, which then holds all cycles that arrived before the end.
         ended = timed_out or receiver.failure is not None
         taken = receiver.take()
         if taken is not None:

@@ -120,7 +120,7 @@ class Follower:
         self.n_skipped = 0
         self.times: list[float] = []
         self.tracker: ContactTracker | None = self._tracker(None)
-        if how.rest:  # it was made to refuse now what it refuses, not after the rest
+        if how.rest:  # made only to raise its errors before the rest, not after it
             self.tracker = None
 
     @property
@@ -138,7 +138,7 @@ class Follower:
         samples : ndarray
             Samples of the cycle from the third on, (n_samples - 2,).
         received : float
-            Arrival time in s, from any zero.
+            Arrival time in s, with an arbitrary origin.
         waiting : int
             Number of cycles that have arrived since; above :data:`BACKLOG` the cycle is skipped.
         """

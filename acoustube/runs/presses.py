@@ -35,7 +35,7 @@ KERNELS = compile_contraction, compile_kernels
 MESH = ("points", "elements", "inner_faces", "outer_faces")
 """Arrays of the mesh of an imported wall that are cached with its press."""
 NOTES = "notes"
-"""Name of the array of the notes on this mesh that are cached with its press."""
+"""Name of the cached array of notes on the mesh of an imported wall."""
 
 
 @checked(config=Instance((Config, Mechanics)), depths=Reals(0, 1, "m", ndim=1))
@@ -197,9 +197,9 @@ def _check_depth(tube: Tube, settings: SIPress) -> None:
 
 
 def _arrays(indentation: Indentation, said: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a press to be cached: its results; of an imported wall also its mesh.
+    """Return the arrays of a press to be cached: its results.
 
-    The notes `said` on this mesh are among them.
+    For an imported wall these include its mesh, and the notes `said` on the mesh.
     """
     mesh = indentation.mesh
     found = dict(indentation.results)

@@ -68,7 +68,7 @@ def located(data: xr.Dataset, how: Processing) -> Iterator[tuple[int, Ranging]]:
         waiting: list[tuple[int, Future[Ranging]]] = []
         for start in starts:
             waiting.append((start, pool.submit(piece, start)))
-            if len(waiting) > THREADS:  # so many pieces are in memory at once
+            if len(waiting) > THREADS:  # this limits the number of pieces in memory
                 first, job = waiting.pop(0)
                 yield first, job.result()
         yield from ((first, job.result()) for first, job in waiting)
@@ -112,7 +112,7 @@ def opened(out: Path | None, others: Mapping[Path, bytes | str]) -> Iterator[Tex
     out : Path or None
         File of the table; None for standard output.
     others : mapping of Path to bytes or str
-        Contents of further files, as they are at the end.
+        Contents of further files, which may be added until the end.
     """
     table = io.StringIO()
     yield sys.stdout if out is None else table
@@ -256,7 +256,7 @@ def process_recording(
     report : Reporter
         Receives the progress of long recordings.
     check : callable
-        Called after each piece, to raise an interrupt that was lost.
+        Called after each piece, to raise a keyboard interrupt that a library suppressed.
 
     Raises
     ------

@@ -18,7 +18,7 @@ from acoustube.runs.provenance import configuration, provenance
 from acoustube.waves import Budget, Pulse, Recording, SourceEnd
 from acoustube.waves.budget import SpectralBudget
 
-if TYPE_CHECKING:  # the solvers of sound, which a press alone does not need
+if TYPE_CHECKING:  # these import the solvers of sound, which a press alone does not need
     from acoustube.runs.sound import SpectralCheck
     from acoustube.signals import Ranging
 
@@ -41,8 +41,8 @@ ECHO = {
     "send_time": ("send_time", "s", "maximum of the send pulse"),
     "return_time": ("return_time", "s", "maximum of the highest echo"),
 }
-"""Variables of the highest echo, with attribute of :class:`Ranging`, unit and long name."""
-SPECTRAL_ERROR = "estimated error of the scattering coefficients at 95 % of the frequencies"
+"""Variables of the highest echo: attribute of :class:`Ranging`, unit and long name of each."""
+SPECTRAL_ERROR = "estimated error of the scattering coefficients, 95 % quantile over frequency"
 
 
 def dataset(
@@ -102,7 +102,7 @@ def dataset(
     )
     coordinates = {
         "depth": variable("depth", indentation.depth, "m", DEPTH),
-        "stage": variable("stage", list(seconds), "1", "stage of the chain"),
+        "stage": variable("stage", list(seconds), "1", "stage of the simulation"),
         "source_end": variable(
             "source_end", list(recordings), "1", "boundary condition after the pulse"
         ),
@@ -213,10 +213,10 @@ def _mechanics(indentation: Indentation, rows: Sequence[int]) -> dict[str, Varia
         "lumen_area": (at_press("area"), "m2", "cross-section of the lumen at the press"),
         "elastic_energy": (taken("energy"), "J", "elastic energy of the whole tube"),
         "smallest_gap": (
-            taken("smallest_gap"), "m", "smallest distance between the level parts of both walls",
+            taken("smallest_gap"), "m", "smallest gap between top and bottom of the inner wall",
         ),
         "smallest_volume_ratio": (
-            taken("smallest_volume_ratio"), "1", "smallest J at any quadrature point",
+            taken("smallest_volume_ratio"), "1", "smallest volume ratio J at any quadrature point",
         ),
         "newton_iterations": (taken("iterations"), "1", "Newton iterations"),
         "newton_residual": (taken("residual"), "N", "norm of the out-of-balance nodal forces"),
@@ -341,16 +341,16 @@ def _error_budget(budget: Budget | SpectralBudget) -> dict[str, Variable]:
     """Return the error budget of the sound as variables."""
     table = {
         "cells_per_wavelength": ("1", "cells per wavelength at the top of the pulse's band"),
-        "delay_bias": ("1", "error of the plane wave's group delay on the grid, relative"),
-        "section_error": ("1", "error of the bore's cross-section on the grid, relative"),
-        "cut_on_error": ("1", "error of the cut-on of (1,1) on the grid, relative"),
+        "delay_bias": ("1", "relative error of the plane wave's group delay on the grid"),
+        "section_error": ("1", "relative error of the bore's cross-section on the grid"),
+        "cut_on_error": ("1", "relative error of the cut-on of mode (1,1) on the grid"),
         "absorption": (
             "dB",
             "reflection of an absorbing end for a mode 1 % above cut-on",
         ),
         "plane_reflection": ("dB", "largest reflection of an absorbing end for the plane wave"),
         "spectral_error": ("1", SPECTRAL_ERROR),
-        "ringing": ("dB", "highest pressure at the end of the recording, of the highest of all"),
+        "ringing": ("dB", "highest pressure at the end of the recording, relative to its maximum"),
     }
     return {
         name: variable("", getattr(budget, name), units, text)
@@ -370,7 +370,7 @@ def _ranged(rangings: Mapping[SourceEnd, Ranging], source_end: SourceEnd) -> dic
     text = "envelope, relative to the send pulse"
     found["envelope"] = variable("source_end time", envelopes, "1", text)
     for name, units, text in (
-        ("distance", "m", "estimated distance"), ("amplitude", "1", "height of its echo"),
+        ("distance", "m", "estimated distance"), ("amplitude", "1", "height of the highest echo"),
     ):  # fmt: skip
         attributes = {"units": units, "long_name": text, "source_end": source_end}
         found[name] = ((), getattr(rangings[source_end], name), attributes)
@@ -386,7 +386,7 @@ def _peaks(results: Sequence[Ranging]) -> dict[str, Variable]:
         for row, values in enumerate((echoes.times, echoes.amplitudes, echoes.prominences)):
             rows[row, i, : values.size] = values
     return {
-        "peak_time": variable(dims, rows[0], "s", "peaks of the envelope"),
+        "peak_time": variable(dims, rows[0], "s", "times of the envelope's peaks"),
         "peak_amplitude": variable(dims, rows[1], "1", "height of each peak"),
         "peak_prominence": variable(dims, rows[2], "1", "prominence of each peak"),
     }

@@ -46,7 +46,9 @@ def to_dataset(found: StoredScattering) -> xr.Dataset:
         "s_real": variable(dims, s.real, "1", f"real part of the {what}"),
         "s_imag": variable(dims, s.imag, "1", f"imaginary part of the {what}"),
         "propagates": flag("frequency mode_in", found.propagates, "whether the mode propagates"),
-        "cut_on": variable("mode_in", found.cut_ons, "Hz", "cut-on frequency, on the grid if any"),
+        "cut_on": variable(
+            "mode_in", found.cut_ons, "Hz", "cut-on frequency; in the time domain, on the grid"
+        ),
     }
     coordinates: dict[str, Any] = {
         "frequency": variable("frequency", found.frequency, "Hz", "frequency")
@@ -71,7 +73,7 @@ def to_dataset(found: StoredScattering) -> xr.Dataset:
         variables["error"] = variable("frequency", found.error, "1", text)
         origin |= {"solver": SOLVERS[1]} | {name: getattr(found, name) for name in SIZES}
     else:
-        variables["settled"] = flag(dims, found.settled, "whether the ringing was over")
+        variables["settled"] = flag(dims, found.settled, "whether the coefficient has converged")
         origin |= {
             "solver": SOLVERS[0],
             "cell_size": found.spacing,
@@ -98,7 +100,7 @@ def keep(name: str, found: StoredScattering, label: str) -> None:
 
 
 def recall(name: str) -> StoredScattering | None:
-    """Return the scattering matrix of a key from the cache; None if it is not there."""
+    """Return the scattering matrix of a cache key; None if it is not in the cache."""
     known = cache.recall(name)
     if known is None:
         return None

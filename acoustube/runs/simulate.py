@@ -138,7 +138,7 @@ def warnings_for(settings: SISettings) -> list[str]:
     blind = blind_time(settings)
     if path < air.sound_speed * blind:
         found.append(
-            f"The echo comes back within {MS * blind:.2f} ms of the send pulse, which is not "
+            f"The echo comes back within {MS * blind:.2f} ms of the send pulse, a time that is not "
             "searched: move the press away from the source or raise the low-pass."
         )
     if not settings.lossy:
@@ -151,7 +151,7 @@ def warnings_for(settings: SISettings) -> list[str]:
 
 
 def _narrow(settings: SISettings, indentation: Indentation) -> list[str]:
-    """Return warnings if the lumen is so narrow that cells or boundary layers do not resolve it."""
+    """Return warnings if the lumen is too narrow for the grid or for the model of losses."""
     found, bore = [], settings.tube.inner_diameter
     height = measure(indentation, -1, np.array([indentation.indenters[0].z])).height[0]
     if settings.method != "spectral" and height < (1 - LARGEST_CLOSING) * bore:
@@ -173,7 +173,7 @@ def _narrow(settings: SISettings, indentation: Indentation) -> list[str]:
 def stage(
     name: str, seconds: dict[str, float], report: Report
 ) -> Iterator[Callable[[float], None]]:
-    """Report a stage and add its time in s to `seconds`; make a ValueError a SimulationError."""
+    """Report a stage, add its time in s to `seconds`, raise a ValueError as a SimulationError."""
     start = time.perf_counter()
     report(name, 0.0)
     try:

@@ -39,24 +39,24 @@ SOURCE_ENDS: tuple[SourceEnd, ...] = ("release", "absorbing")
 """Boundary conditions of the source end; both are computed, as a real end lies between them."""
 
 BAND_EDGE = -20.0
-"""Level in dB relative to the pulse's spectral peak above which a mode's cut-on is warned of."""
+"""Level in dB relative to the pulse's spectral peak; cut-ons in the band above it are reported."""
 
 BAND_LEVEL = -70.0
 """Level in dB relative to the pulse's spectral peak at which the computed band ends."""
 LOWEST_CARRIERS = 0.05
-"""Lowest computed frequency over the carrier: 6e-5 of the energy of one cycle lies below it."""
+"""Lowest computed frequency over the carrier: 6e-5 of a one-cycle pulse's energy is below it."""
 FREQUENCY_STEP = 100.0
 """Frequency step in Hz of a scattering matrix, for impulse responses of up to 10 ms."""
 LOSSLESS_REFINEMENT = 4
 """Factor by which the frequency step of the spectral solver is divided without losses."""
 LARGEST_SPECTRAL_ERROR = 0.02
-"""Largest accepted error estimate of the spectral solver, at a quantile of the frequencies."""
+"""Largest accepted quantile over frequency of the spectral solver's error estimate."""
 TIME_STEP = 1e-6
 """Time step in s of recordings computed from scattering matrices and straight tube."""
 
 
 def blind_time(settings: SISettings) -> float:
-    """Return the time in s from the maximum of the send pulse's envelope to its decay."""
+    """Return the duration in s of the send pulse's envelope after its maximum."""
     return signals.blind_time(settings.pulse.duration, settings.cutoff)
 
 
@@ -84,7 +84,7 @@ def tube_recordings(
     spacing = grid_spacing(settings.tube.inner_diameter, settings.resolution, probe)
     cells = cut_cells(space.surface, spacing, half=space.symmetric)
     recordings: dict[SourceEnd, Recording] = {}
-    # Both take the time step of the first: their stability limits differ by less than 0.1 %.
+    # Both source ends take the time step of the first: their stability limits differ by < 0.1 %.
     time_step: float | None = None
     for done, source_end in enumerate(SOURCE_ENDS):
         recordings[source_end] = propagate(
@@ -147,7 +147,7 @@ def scattering_of(
     lossy: bool,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[StoredScattering, CutCells | None, str]:
-    """Return the scattering matrix of a press, referred to its own position.
+    """Return the scattering matrix of a press, with both reference planes at its middle.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def scattering_of(
     Returns
     -------
     scattering : Scattering or SpectralScattering
-        In steps of `FREQUENCY_STEP`, which the spectral solver divides without losses.
+        In frequency steps of `FREQUENCY_STEP`, which the spectral solver refines without losses.
     cells : CutCells or None
         The lumen on the grid of the time-domain solver; None for the spectral one.
     note : str
@@ -269,7 +269,7 @@ class SpectralCheck(NamedTuple):
     amplitude : tuple of float
         Amplitude of the highest echo, relative to the send pulse; nan without one.
     error : float
-        Estimated error of the scattering coefficients at 95 % of the frequencies.
+        Estimated error of the scattering coefficients, 95 % quantile over frequency.
     note : str
         Statement that the error exceeds the tolerance; empty otherwise.
     """
@@ -352,7 +352,7 @@ def _budget(
     time_step: float | None,
     recordings: Mapping[SourceEnd, Recording],
 ) -> Budget:
-    """Return the known errors of recordings."""
+    """Return the error budget of recordings by FDTD."""
     return error_budget(
         cells,
         settings.air,

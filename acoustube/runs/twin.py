@@ -31,9 +31,9 @@ from acoustube.runs.recordings import read_recordings
 BITS = (8, 10, 12, 14, 16)
 """Possible resolutions of a converter in bits."""
 VOLTS = 1.8
-"""Assumed full scale in V: counts determine voltages relative to it alone."""
+"""Assumed full scale of the converter in V; from counts, voltages follow only relative to it."""
 MOST_CLOSURES = 200
-"""Largest number of closures that are used; of more, evenly spaced ones are chosen."""
+"""Largest number of closures that are used; if there are more, evenly spaced ones are chosen."""
 MOST_CLUTTER = 5e-3
 """Largest accepted power per length in 1/m that an untouched tube reflects: -23 dB re 1/m. Ordinary
 tubes reflect -48 dB re 1/m."""
@@ -165,7 +165,7 @@ def fitted_sensor(
     bench : Bench
     report : Reporter
     check : callable
-        Called with the progress, to raise an interrupt that was lost.
+        Called with the progress, to raise a keyboard interrupt that a library suppressed.
 
     Raises
     ------
@@ -268,7 +268,7 @@ def _groups(path: Path, data: xr.Dataset) -> list[Group]:
 
 
 def _of_counts(parts: Sequence[tuple[Path, xr.Dataset]]) -> list[tuple[Path, xr.Dataset]]:
-    """Return recordings with counts of integer type, which may be stored as other numbers."""
+    """Return recordings with their counts, which may be stored as other numbers, as integers."""
     return [(path, data.assign(signal=data["signal"].astype(int))) for path, data in parts]
 
 

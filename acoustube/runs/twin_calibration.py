@@ -35,7 +35,7 @@ BEFORE_END = 0.05
 FEWEST = 8
 """Smallest number of closures of a calibration."""
 LEAST_SPEED = 330.0
-"""Lower bound of the speed of sound in m/s, at which the farthest closure is within the cycle."""
+"""Lowest speed of sound in m/s at which the farthest closure's echo must be within the cycle."""
 CYCLES, UNTOUCHED = 3, 100
 """Number of simulated cycles of each closure, and of the untouched tube."""
 AIR = 20.0
@@ -49,7 +49,7 @@ fraction of untouched cycles with a false echo. The first prominence with so few
 LOW_PASS = 10e3
 """Highest cut-off in Hz of the envelope's low-pass; half the carrier is used if it is lower."""
 OUTSIDE = 0.9
-"""Highest frequency of the simulated closures, as a fraction of half the rate of computation."""
+"""Highest frequency of the simulated closures over half the sampling rate of the computation."""
 
 
 def is_twin(path: Path) -> bool:

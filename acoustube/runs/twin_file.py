@@ -26,7 +26,7 @@ MOST_REFLECTED = 0.98
 """Largest magnitude of the reflection coefficient of a rangefinder's face; the posterior's mean may
 be larger where repetitions of echoes hardly determine it."""
 AT_ZERO = 4e-5
-"""Time in s between drive and time zero, or the first sample, from which a note states it."""
+"""Time in s by which the drive must miss time zero, or precede the first sample, for a note."""
 DETERMINED = 0.5
 """Ratio of posterior to prior standard deviation below which a parameter is determined."""
 
@@ -75,23 +75,23 @@ def _echo_parameters(found: FittedSensor) -> Iterator[Parameter]:
     )  # fmt: skip
     logs = (
         ("log_resonance", "resonance_khz", KHZ * NOMINAL_FREQUENCY, "resonance of the transducer"),
-        ("log_quality", "quality_factor", 1.0, "its quality factor"),
+        ("log_quality", "quality_factor", 1.0, "quality factor of the transducer"),
         ("log_drive_frequency", "drive_frequency_khz", KHZ * NOMINAL_FREQUENCY,
          "frequency of the drive"),
         ("log_gain", "gain_v", 1 / found.per_volt, "received level of a complete reflection"),
-        ("log_loss", "loss_factor", 1.0, "losses of the wall over those of a smooth one"),
+        ("log_loss", "loss_factor", 1.0, "losses at the wall over those at a smooth one"),
     )  # fmt: skip
     for own, name, unit, meaning in logs:
         value = unit * exp(twin.value(own))
         prior = value * PRIORS[own][1]
         yield Parameter(name, value, value * twin.deviation(own), prior, meaning)
     plain = (
-        ("temperature_offset", "temperature_offset_c", 1.0, "to add to the reported temperature"),
-        ("temperature_gradient", "temperature_gradient_c_per_m", 1.0, "of the air along the tube"),
+        ("temperature_offset", "temperature_offset_c", 1.0, "added to the reported temperature"),
+        ("temperature_gradient", "temperature_gradient_c_per_m", 1.0, "gradient along the tube"),
         ("drive_cycles", "drive_cycles", 1.0, "periods of the drive"),
         ("trigger", "trigger_us", US, "start of the drive after time zero"),
-        ("face_real", "face_reflection_real", 1.0, "reflection coefficient of the face"),
-        ("face_imag", "face_reflection_imag", 1.0, "its imaginary part"),
+        ("face_real", "face_reflection_real", 1.0, "reflection of the face, real part"),
+        ("face_imag", "face_reflection_imag", 1.0, "reflection of the face, imaginary part"),
         *((name, f"send_{name}", 1.0, "coefficient of the send pulse's correction")
           for name in SHARED if name[-1] in "123"),
     )  # fmt: skip
@@ -110,8 +110,8 @@ def _background_parameters(found: FittedSensor) -> Iterator[Parameter]:
         ("noise_v", rest.noise, volt, None, "rms of the noise"),
         ("offset_v", rest.offset, volt, None, "mean voltage"),
         ("drift_v", rest.drift, volt, None, "rms of the offset's drift"),
-        ("jitter_us", rest.jitter, US, None, "rms of the trigger from cycle to cycle"),
-        ("gain_wander_percent", rest.wander, PERCENT, None, "rms of the gain, cycle to cycle"),
+        ("jitter_us", rest.jitter, US, None, "rms variation of the trigger from cycle to cycle"),
+        ("gain_wander_percent", rest.wander, PERCENT, None, "rms variation of gain among cycles"),
     ]
     if rest.length is not None:
         rows.append(("far_end_cm", rest.length, CM, None, "distance of the far end"))
@@ -143,7 +143,7 @@ def _material_parameters(found: FittedSensor) -> Iterator[Parameter]:
     )  # fmt: skip
     yield Parameter(
         "ground_compliance_mm_per_n", MM * compliance.value, MM * compliance.deviation,
-        MM * PRIOR_COMPLIANCE, "by which the ground yields",
+        MM * PRIOR_COMPLIANCE, "settlement of the ground per force",
     )  # fmt: skip
     yield Parameter("depth_zero_mm", MM * zero.value, MM * zero.deviation, MM * PRIOR_ZERO,
                     "stated depth at first contact")  # fmt: skip
@@ -207,7 +207,7 @@ def in_toml(found: FittedSensor) -> str:
 
 
 def tube_length(found: FittedSensor) -> float:
-    """Return the tube's length in m: stated, else from its end's echo, else 5 cm past closures."""
+    """Return the tube's length in m: stated, or by its end's echo, or 5 cm beyond all closures."""
     if found.length is not None:
         return found.length
     if found.rest.length is not None:
@@ -216,7 +216,7 @@ def tube_length(found: FittedSensor) -> float:
 
 
 def _short(value: float) -> float:
-    """Return a number with seven digits; a large finite one for infinity."""
+    """Return a number rounded to seven significant digits; 1e9 if it is not finite."""
     return float(f"{value:.7g}") if isfinite(value) else 1e9
 
 
@@ -232,13 +232,13 @@ def _origin(found: FittedSensor) -> Any:
     files = dict.fromkeys([group.source for group in found.closed] + [found.untouched.source])
     table.add("recordings", _words(Path(name).name for name in files))
     table.add("explained", tomlkit.item(_short(float(found.twin.explained.mean()))).comment(
-        "fraction of the closures' energy"
+        "fraction of the closures' energy that the model explains"
     ))  # fmt: skip
     return table
 
 
 def deviations_of(found: FittedSensor) -> dict[str, float]:
-    """Return values for :class:`acoustube.inversion.Priors` by name, at least observed scatter."""
+    """Return standard deviations for the priors by name, none below the observed scatter."""
     twin = found.twin
     return {
         "temperature": max(twin.deviation("temperature_offset"), 0.1),

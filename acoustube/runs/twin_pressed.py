@@ -191,7 +191,7 @@ def _state(
 
 
 def _contact(inverted: Inversion, place: float) -> tuple[Contact | None, str]:
-    """Return the contact nearest to a place in m, and why its depth is unusable, or empty."""
+    """Return the contact nearest to a place in m, and why its depth is unusable, else empty."""
     likely = [one for one in inverted.contacts if one.probability > 0.5]
     if not likely:
         return None, "no contact is found in its echo"

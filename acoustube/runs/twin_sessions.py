@@ -30,7 +30,7 @@ COMPARED = {
     "temperature_offset_c": "temperature_bias", "gain_v": "gain", "send_v": "send",
     "noise_v": "noise", "offset_v": "offset", "young_modulus_mpa": None,
 }  # fmt: skip
-"""Parameters of twins that are compared, each with its name in the rangefinder, or None."""
+"""Parameters of twins that are compared, each with the parameter of the rangefinder or None."""
 LOGARITHMS = ("resonance_khz", "quality_factor", "gain_v", "send_v", "noise_v")
 """Positive parameters, whose logarithms are compared."""
 CHANCE = 0.05
@@ -216,7 +216,7 @@ def _drawn(
 
 
 def _clutter(paths: Sequence[Path]) -> tuple[tuple[float, ...], float]:
-    """Return mean reflection coefficients of the clutter, and power in 1/m of its changes."""
+    """Return mean reflection coefficients of the clutter, and variance of their changes in 1/m."""
     each = [np.array(twin_settings(path)["reflectors"]) for path in paths]
     n = min(len(one) for one in each)
     if n == 0:

@@ -3,8 +3,7 @@
 Reading order: `tables` (scattering of tools over depth, refined from a library), `network` (echo of
 contacts joined by straight tube, in JAX), `cycles` (voltage of that echo), `assembly` (constant
 arrays of a rangefinder and a tube), `wrapped` (those of a wrapped tube), `contacts` and
-`tube_sensor` (contacts in, cycles out);
-`environment` for reinforcement learning.
+`tube_sensor` (contacts in, cycles out), and `environment` (for reinforcement learning).
 """
 
 from acoustube.sensor.contacts import Contact

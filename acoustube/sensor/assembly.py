@@ -51,7 +51,7 @@ REFLECTORS_AT_ONCE = 256
 TAPER = 0.1
 """Fraction of the band over which each of its ends is tapered."""
 QUIET = 2.0
-"""Time left after a cycle, times the width in Hz of a taper: until then the band may ring."""
+"""Time after a cycle in which the ends of the band may ring, times the width of a taper in Hz."""
 
 
 def assembled(
@@ -87,7 +87,8 @@ def assembled(
     every = oversampling(r)
     rate, n = every * r.sampling_rate, every * r.n_samples
     _, _, inside = _received(r, rate, n, available)
-    # What the tapered band rings before an echo must not enter the end of the cycle, which grows.
+    # The tapered band rings before an echo. This must not wrap into the cycle's end, which `growth`
+    # amplifies.
     quiet = QUIET * n / (TAPER * inside.sum())
     period = next_fast_len(n + int(np.ceil(quiet)), real=True)
     damped, received, inside = _received(r, rate, period, available)
@@ -135,7 +136,7 @@ def assembled(
 def _received(
     r: Rangefinder, rate: float, period: int, available: tuple[float, float]
 ) -> tuple[Complex, Complex, NDArray[np.bool_]]:
-    """Return complex frequencies in Hz, the spectrum received there, and those of the band.
+    """Return complex frequencies in Hz, the spectrum received at them, and the mask of the band.
 
     The available range of frequencies and the rate of the computed samples are in Hz. The results
     are of shape (period // 2,).
@@ -213,7 +214,7 @@ def _wrapped(
 
 
 def _triangle(matrix: Complex) -> Array:
-    """Return the upper triangles of matrices (n_f, m, m), in parts, (2, m (m + 1) / 2, n_f)."""
+    """Return matrices (n_f, m, m) as real and imaginary upper triangles (2, m (m + 1) / 2, n_f)."""
     part = matrix[:, *np.triu_indices(matrix.shape[-1])].T
     return np.asarray(np.stack([part.real, part.imag]), float)
 
@@ -260,10 +261,10 @@ def _taper(n: int) -> Array:
 def _clutter_beyond(
     phase: Callable[[Array], Complex], n_f: int, density: float, length: float, seed: int
 ) -> tuple[NDArray[np.float32], Complex]:
-    """Return the echo of each reflector and all those behind it, and that of all clutter, (n_f,).
+    """Return the echo of each reflector with all those behind it, and the echo of all clutter.
 
-    The former are real and imaginary parts, (n_reflectors + 1, 2, n_f). The clutter is that of
-    :func:`acoustube.ranging.analogue.clutter`, summed from the far end.
+    They are (n_reflectors + 1, 2, n_f), as real and imaginary parts, and (n_f,), complex. The
+    clutter is that of :func:`acoustube.ranging.analogue.clutter`, summed from the far end.
     """
     total: Complex = np.zeros(n_f, complex)
     if density == 0:

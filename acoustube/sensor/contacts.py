@@ -18,8 +18,7 @@ from acoustube.sensor.tables import PressTables
 HALF_PRESS = 0.015
 """Half the length in m of tube that a contact deforms."""
 SAME = 1e-6
-"""Difference of diameters, relative to that of two neighbouring tools, up to which they are equal.
-"""
+"""Difference of diameters up to which they count as equal, relative to that of adjacent tools."""
 
 
 @dataclass(frozen=True, kw_only=True)

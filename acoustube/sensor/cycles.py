@@ -32,11 +32,11 @@ class Shape:
     Attributes
     ----------
     number : tuple of int
-        :attr:`acoustube.sensor.tables.PressTables.number`, flattened.
+        Indices of coefficients, :attr:`acoustube.sensor.tables.PressTables.number`, flattened.
     modes : int
         Number of modes that propagate between contacts.
     period, n_samples : int
-        Number of computed samples of the cyclic time, and of samples of the cycle.
+        Number of samples of the inverse Fourier transform, and of samples of the cycle.
     first_bin : int
         Index of the band's first frequency in the spectrum.
     ends : tuple of float
@@ -124,9 +124,9 @@ def changes_of(
 
 
 def echo_voltage(shape: Shape, parts: Parts, echo_at_face: Pair) -> Array:
-    """Return the voltage in V of an echo, relative to the launched wave, (n_samples,).
+    """Return the voltage of an echo in V, (n_samples,).
 
-    The echo is given at the frequencies of the band, (n_f,).
+    The echo is given relative to the launched wave, at the frequencies of the band, (n_f,).
     """
     received = echo_at_face * parts.scale
     band = jax.lax.complex(received.re, received.im)
@@ -188,7 +188,7 @@ def compiled() -> tuple[Callable[..., jax.Array], Callable[..., jax.Array]]:
 )  # fmt: skip
 @dataclass(frozen=True)
 class CycleModel:
-    """Cycles of a sensor as a part of larger JAX computations.
+    """Model of a sensor's cycles, for use in larger JAX computations.
 
     Pass it to compiled functions as an argument. A function that closes over it takes minutes to
     compile, since the tables become constants of the function.

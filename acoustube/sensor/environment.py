@@ -122,7 +122,7 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[dict[str, NDArray[np.float32]], float, bool, bool, dict[str, float]]:
-        """Move; return observation, reward, whether at the goal, whether truncated, and ``info``.
+        """Take a step; return observation, reward, whether at goal, whether truncated, ``info``.
 
         Parts of the action outside -1 to 1 are clipped.
 

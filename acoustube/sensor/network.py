@@ -76,7 +76,7 @@ class Constants(NamedTuple):
     Attributes
     ----------
     presses : jax.Array
-        :attr:`acoustube.sensor.tables.PressTables.values`.
+        Scattering coefficients, :attr:`acoustube.sensor.tables.PressTables.values`.
     decay, turn : jax.Array
         Real part in 1/m and imaginary part in revolutions per m of -j times the axial wavenumbers,
         (m, n_f); in a wrapped tube their integrals from the start of the wrap, (n_z, m, n_f).
@@ -129,7 +129,8 @@ def echo(
     ----------
     constants : Constants
     number : ndarray of int
-        :attr:`acoustube.sensor.tables.PressTables.number` as (2 m, 2 m); fixed when compiled.
+        Indices of the coefficients, :attr:`acoustube.sensor.tables.PressTables.number` as
+        (2 m, 2 m); fixed when compiled.
     press : Press
     place : jax.Array
         Distances from the face in m, rising, (n_contacts,).
@@ -205,7 +206,7 @@ def _heard(load: Matrix, entry: Entry | None, face: complex) -> Pair:
 def _matrix(
     table: jax.Array, number: NDArray[np.int64], row: jax.Array, weight: jax.Array
 ) -> Matrix:
-    """Return the scattering matrix of a contact, (2 m, 2 m), interpolated."""
+    """Return the scattering matrix of a contact, (2 m, 2 m), interpolated from a table."""
     parts = []
     for i in range(row.shape[0]):
         start = (row[i], *(jnp.zeros((), row.dtype),) * 3)

@@ -185,9 +185,10 @@ def _at_frequencies(tool: Tool, kept: list[int], frequency: Complex, stretch: fl
 def _refined(splines: list[CubicSpline], nodes: Array, plane: int, tolerance: float) -> Array:
     """Return depths, the nodes among them, so dense that linear interpolation meets the tolerance.
 
-    The splines are those of the distinct coefficients over depth; that of index `plane`, the plane
-    wave's reflection, has a relative error. The error over an interval is taken at its middle and
-    falls with the square of the number of parts, of which there are at most :data:`MOST_PARTS`.
+    The splines are those of the distinct coefficients over depth. The error is relative for that of
+    index `plane`, the plane wave's reflection, and absolute for the others. It is computed in the
+    middle of each interval between nodes and falls with the square of the number of parts of the
+    interval, of which there are at most :data:`MOST_PARTS`.
     """
     middle, worst = (nodes[1:] + nodes[:-1]) / 2, np.zeros(len(nodes) - 1)
     for i, spline in enumerate(splines):
@@ -203,10 +204,7 @@ def _refined(splines: list[CubicSpline], nodes: Array, plane: int, tolerance: fl
 
 
 def _rows(splines: list[CubicSpline], depths: Array) -> NDArray[np.float32]:
-    """Return a tool's distinct scattering coefficients at its depths.
-
-    Real and imaginary part, (n_rows, 2, n_different, n_f).
-    """
+    """Return distinct coefficients (real, imaginary) at depths, (n_rows, 2, n_different, n_f)."""
     values = np.empty((len(depths), 2, len(splines), splines[0].c.shape[-1]), np.float32)
     for i, spline in enumerate(splines):
         found = spline(depths)
@@ -228,7 +226,7 @@ def _padded(arrays: list[Array]) -> Array:
 
 
 def _error_between(reflections: list[CubicSpline], depths: list[Array], diameters: Array) -> Array:
-    """Return the relative rms error of each tool's reflection interpolated from its neighbours'."""
+    """Return relative rms errors of each tool's reflection interpolated between its neighbours."""
     found = np.full(len(reflections), np.nan)
     for i in range(1, len(reflections) - 1):
         deepest = min(depths[j][-1] for j in (i - 1, i, i + 1))

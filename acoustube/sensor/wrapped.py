@@ -163,7 +163,8 @@ def _joined(
 def _bend(number: NDArray[np.int64]) -> NDArray[np.float32]:
     """Return the coefficients of a bend without a press: each mode is transmitted unchanged.
 
-    Real and imaginary part of the distinct coefficients, (2, n_different, 1), for all frequencies.
+    They are real and imaginary parts of the distinct coefficients, (2, n_different, 1), equal at
+    all frequencies.
     """
     m = len(number) // 2
     found = np.zeros((2, number.max() + 1, 1), np.float32)

@@ -270,8 +270,8 @@ def _check_cycles(n_samples: int, **cycles: ArrayLike) -> None:
         shape = np.shape(samples)
         if shape[-1:] != (n_samples,) or not shape[0]:
             raise ValueError(
-                f"{name} has shape {shape} and time ({n_samples},); give one row or more of as "
-                "many samples as times"
+                f"{name} has shape {shape} and time ({n_samples},); give one cycle or more, "
+                "with a sample at each time"
             )
 
 
@@ -314,7 +314,8 @@ def _detected_closures(
 ) -> NDArray[np.bool_]:
     """Return which cycles show their closure's echo; raise ValueError if too few do.
 
-    An echo must exceed the untouched cycles (m, time) at the same time.
+    At its time, an echo must exceed the mean of the untouched envelopes `background`, (m, time), by
+    :data:`CLOSURE_SIGMAS` standard deviations.
     """
     level = np.nanmean(background, axis=0) + CLOSURE_SIGMAS * np.nanstd(background, axis=0)
     there = np.interp(np.nan_to_num(ranging.return_time), time, level)

@@ -286,10 +286,10 @@ def low_pass(samples: ArrayLike, sampling_rate: float, cutoff: float = 10e3) -> 
 
 
 def check_cutoff(name: str, cutoff: float, sampling_rate: float) -> None:
-    """Raise ValueError unless a cut-off in Hz is one of a filter at a sampling rate in Hz.
+    """Raise ValueError unless a cut-off in Hz is possible at a sampling rate in Hz.
 
-    It has to lie between :data:`LOWEST_CUTOFF` times that rate and half of it. The message calls it
-    `name`.
+    It has to lie between :data:`LOWEST_CUTOFF` times that rate and half of it. The message calls
+    the cut-off `name`.
     """
     least = LOWEST_CUTOFF * sampling_rate
     if not least <= cutoff < sampling_rate / 2:

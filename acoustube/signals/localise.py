@@ -256,12 +256,12 @@ def process(
     median, which is robust against a few echoes. It is smaller there than at an echo, because noise
     alone is rectified (:data:`NOISE_RATIO_RECTIFIED`); the stated deviation is corrected for that,
     and includes the effect of sampling. The slope of a compressed pulse's envelope is that of one
-    quadrature component with and without an echo (Rice), so that no correction is needed. An echo
-    with a flat top, of an even burst longer than the filter, scatters over it by more than stated.
+    quadrature component with and without an echo (Rice), so that no correction is needed. The time
+    of an echo with a flat top, of a uniform burst longer than the filter, varies more than stated.
     """
     time, pressure = _check_signal(time, pressure)
     _check_rows(temperature, pressure.shape[:-1])
-    temperature = temperature if pressure.size else 20.0  # without cycles, of any
+    temperature = temperature if pressure.size else 20.0  # any value, without cycles
     rate, speed = sampling_rate(time), speed_of_sound(temperature)
     if offset_cutoff is not None:
         check_cutoff("offset_cutoff", offset_cutoff, rate)
@@ -314,7 +314,7 @@ def _sent(time: Array, raw: Array, end: float, duration: float | None) -> tuple[
 
 
 def _noise_constants(template: ArrayLike | None) -> tuple[float, float]:
-    """Return the ratio of noise without to that with an echo, and the sampling deviation."""
+    """Return the ratio of slope noise without an echo to that with one, and sampling deviation."""
     if template is None:
         return NOISE_RATIO_RECTIFIED, SAMPLING_DEVIATION_RECTIFIED
     if np.iscomplexobj(template):

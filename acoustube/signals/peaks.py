@@ -160,7 +160,7 @@ def _peaks(time: Array, cycle: Array, window: slice, prominence: float) -> Array
 def _refine(time: Array, samples: Array, index: NDArray[np.intp]) -> tuple[Array, Array]:
     """Return time and height of the vertex of the parabola through a maximum and its neighbours.
 
-    One maximum per cycle for ``samples`` of shape (..., time), or several of a single cycle.
+    There is one maximum per cycle for ``samples`` of shape (..., time), or several in one cycle.
     """
     middle = np.clip(index, 1, time.size - 2)
     left, centre, right = (_take(samples, middle + shift) for shift in (-1, 0, 1))

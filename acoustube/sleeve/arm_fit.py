@@ -35,7 +35,7 @@ Kept = NDArray[np.bool_]
 MOST_PAIRS = 3000
 """Largest number of marker pairs tried as lines; of more pairs, evenly spaced ones are tried."""
 OUTLIER_DEVIATIONS = 4.5
-"""Standard deviations from its column's line beyond which a marker is an outlier (1 in 25 000)."""
+"""Least deviation of outliers from the line, in standard deviations: 1 normal error in 25 000."""
 SMALLEST_DEVIATION = 0.2e-3
 """Lower bound of the estimated standard deviation of a marker from its column's line, in m."""
 RADIUS_RANGE = 0.01, 0.3
@@ -45,7 +45,7 @@ LENGTH_RANGE = 0.03, 1.5
 MIN_MARKERS = 3
 """Least number of markers per column: a line goes through any two."""
 THIRD_DISTANCE = 0.01
-"""Distance in m of one of three markers from the line of the others, up to which it is kept."""
+"""Distance in m from the line up to which a marker is kept if its column has only three."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,7 +85,7 @@ class Arm:
     ----------
     frame : Frame
         If the axis was fitted, z increases from the first marker of the first column to its last;
-        otherwise z is that of the coordinates. z is 0 at the lowest marker that was used.
+        otherwise along the z axis of the coordinates. z is 0 at the lowest marker that was used.
     lines : tuple of Line
         Fitted radius at each column; the same line twice where the axis was fitted too.
     angles : tuple of float
@@ -225,7 +225,7 @@ def _robust_line(points: Array) -> tuple[Array, Array, float, Kept]:
     for _ in range(3):
         away = points - middle
         across = np.linalg.norm(away - np.outer(away @ direction, direction), axis=1)
-        # The median of the square of two normal errors is 2 log 2; small samples lie below it.
+        # Two squared normal errors have a sum of median 2 log 2; small samples lie below it.
         spread = np.sqrt(np.median(across**2) / (2 * log(2))) * (1 + 5 / max(len(points) - 2, 1))
         deviation = max(float(spread), SMALLEST_DEVIATION)
         least = THIRD_DISTANCE if len(points) == MIN_MARKERS else 0.0

@@ -18,7 +18,8 @@ SIDE_LOBE_DISTANCE = 0.10
 TRAPPED_SOUND_DISTANCE = 0.18
 """Largest distance behind a press at which trapped sound appears, in m."""
 SECOND_PRESS_RATIO = 2.0
-"""Least amplitude of a press within `TRAPPED_SOUND_DISTANCE` behind another, relative to that."""
+"""Amplitude of an echo less than `TRAPPED_SOUND_DISTANCE` behind another, relative to the latter,
+from which on the echo counts as a press, not as trapped sound."""
 MULTIPLE_REFLECTION_TOLERANCE = 0.04
 """Tolerance of the distance of a multiple reflection between two presses, in m."""
 
@@ -48,7 +49,7 @@ def remove_ghost_echoes(places: ArrayLike, heights: ArrayLike) -> Array:
     3. a multiple reflection: from a press b to a nearer press a and to b again, which arrives from
        the distance 2 b - a, and is lower than the echo of b.
 
-    Two presses less than 18 cm apart are one contact, unless the farther echo is twice as high.
+    Two presses under 18 cm apart count as one contact unless the farther echo is twice as high.
     Sound that is trapped for longer than 1 ms cannot be distinguished from another press behind a
     harder one.
     """

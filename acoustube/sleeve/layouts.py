@@ -266,7 +266,7 @@ def _most_loops(tube: Helix, longest: float) -> float:
 def check_room(tubes: Sequence[Helix], outer_diameter: float) -> None:
     """Raise ConfigError if the least spacing of tubes is under their outer diameter in m.
 
-    The tubes start at any angles; otherwise as for :func:`spacing`.
+    All are taken to have the shape of the first; they may start at uneven angles.
     """
     starts = np.sort([tube.phase / (2 * pi) % 1 for tube in tubes])
     narrowest = float(np.diff(starts, append=starts[0] + 1).min())

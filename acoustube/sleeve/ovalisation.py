@@ -25,7 +25,7 @@ def ovality(tube: Tube, curvature: float) -> float:
     ----------
     tube : Tube
     curvature : float
-        Of its centre line in 1/m.
+        Curvature of the tube's centre line in 1/m.
 
     Returns
     -------
@@ -39,9 +39,9 @@ def ovality(tube: Tube, curvature: float) -> float:
 
     Notes
     -----
-    The wall of a thin tube that is bent freely moves by zeta R, zeta = (1 - nu^2) kappa^2 R^4 / t^2
-    with R the mean radius. A wall as thick as a third of its radius is stiffer, and is supported by
-    a pocket or the arm: this is an upper bound.
+    In a thin tube of mean radius R and wall thickness t, bent freely to the curvature kappa, the
+    wall moves by zeta R, with zeta = (1 - nu^2) kappa^2 R^4 / t^2 and Poisson's ratio nu. This is
+    an upper bound: a wall as thick as a third of R is stiffer, and a pocket or the arm supports it.
     """
     found = _flattening(tube, curvature)
     if found > COLLAPSE:

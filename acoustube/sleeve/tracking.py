@@ -156,7 +156,7 @@ class ContactTracker:
         detected = self._take_in(near)
         if len(far):
             assert self.length is not None
-            # Contacts started by this end's candidates may be detected by the other end at once.
+            # A far candidate may be assigned to a contact that a near one has just started.
             both = self._take_in(self.length - far)
             both[: len(detected)] |= detected
             detected = both

@@ -1,23 +1,24 @@
 """Scattering of the modes of a round bore by bends: the multimodal method.
 
-Along a bent and twisted centre line of curvature kappa and torsion tau, with x across the tube
-towards the centre of curvature and h = 1 - kappa x, sound of angular frequency omega obeys, with u
-the axial velocity times omega rho and T = d/ds - tau d/dphi the derivative along the line,
+The centre line has the curvature kappa, the torsion tau and the arc length s. Let x point across
+the tube towards the centre of curvature, phi be the azimuth and h = 1 - kappa x. At the angular
+frequency omega = k c the pressure p and u, the axial velocity times omega rho, obey
 
-    T p = -j h u,    T u = -j (k^2 h + div h grad) p,
+    T p = -j h u,    T u = -j (k^2 h + div h grad) p,    T = d/ds - tau d/dphi,
 
 with div and grad across the tube. This is exact for a torus and for a helix. With p and u as sums
-of the straight bore's modes psi_m, normalised over the section, it becomes
+of the straight bore's modes psi_m, of coefficients a and a_u, the equations become
 
     a' = -j B a_u + tau M a,    a_u' = -j K a + tau M a_u,
     B = 1 - kappa X,    K = k_z^2 - kappa (k^2 X - Y),
-    X = <psi x psi>,    Y = <grad psi x grad psi>,    M = <psi d psi/dphi>,
+    X = <psi x psi>,    Y = <grad psi x grad psi>,    M = <psi d psi/dphi>.
 
-where k_z^2 is the diagonal matrix of the straight bore's squared axial wavenumbers, with the losses
-at its wall; the effect of curvature on the losses is neglected. The coefficients do not depend on
-s. The matrix of a slice, too short for its evanescent modes to grow, is doubled by the star product
-until it is that of the whole bend. This is the multimodal method of [1]_ and [2]_, with doubling in
-place of the Riccati equation. Parts of different curvature are combined by the same product.
+<> is the mean over the section, for modes of mean square 1, and k_z^2 the diagonal matrix of the
+straight bore's squared axial wavenumbers, with its losses; the effect of curvature on these is
+neglected. No coefficient depends on s. The scattering matrix of a slice, too short for its
+evanescent modes to grow, is doubled by the star product until it is that of the bend: the
+multimodal method of [1]_ and [2]_, with doubling in place of the Riccati equation. Parts of
+different curvature are combined by the same product.
 
 A bend flattens the tube. To first order this shifts the cut-ons of the modes (1, n) only, see
 :mod:`acoustube.waves.modes.bore_couplings`; their k_z^2 on the diagonal changes accordingly. The
@@ -62,7 +63,7 @@ Acoustic Waveguides for Meter-Scale Contact Localization and Force Sensing") cha
 SLICE_EXPONENT = 0.5
 """Largest growth exponent of the most evanescent mode over a slice."""
 CUT_ON_MARGIN = 1e-6
-"""Smallest ratio kz / k: closer to cut-on a mode's two waves are nearly linearly dependent."""
+"""Lower limit of abs(kz) / k: closer to cut-on, forward and backward wave are almost the same."""
 FREQUENCY_BATCH = 64
 """Number of frequencies that are computed together."""
 PLANE_NODES = 33
@@ -72,7 +73,7 @@ LONGEST = 100.0
 LARGEST_CURVATURE = 0.95
 """Largest ratio of bore radius to bend radius; at 1 the inner wall is folded."""
 HIGHEST = Number(1, 30.5)
-"""Allowed `highest`. From the mode (1,10), of j' = 30.6, names as ``11c`` would be ambiguous."""
+"""Bounds of the largest Bessel zero j'mn: from 30.6, of (1,10), names as ``11c`` are ambiguous."""
 NAMES = Optional(Several(str, 1))
 
 
@@ -92,7 +93,7 @@ class Bent:
     Raises
     ------
     ConfigError
-        If the length is outside 1e-9 to 100 m, the curvature negative, or the ovality beyond 1.
+        If the length is not from 1e-9 to 100 m, the curvature negative or the ovality beyond +-1.
     """
 
     length: float
@@ -348,7 +349,7 @@ def _bend_scattering(
 ) -> Complex:
     """Return the scattering matrix of a bend, not power-normalised, (n, 2 m, 2 m)."""
     generator, admittance = bend_generator(air, frequency, bore, radius, part, lossy)
-    growth = part.length * max(bore.zeros.max(), 1.0) / radius  # 0 of the plane mode alone
+    growth = part.length * max(bore.zeros.max(), 1.0) / radius  # the plane mode's zero is 0
     n_doublings = max(0, ceil(log2(growth / SLICE_EXPONENT)))
     slice_ = expm(generator * (part.length / 2**n_doublings))
     s = from_transfer(slice_, admittance)

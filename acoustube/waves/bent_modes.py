@@ -1,12 +1,14 @@
 """Modes of a bore of constant curvature and torsion, and its joints with a straight bore.
 
-The coupled equations of :mod:`acoustube.waves.bends`, whose coefficients do not vary along the
-centre line, have solutions (p, v) exp(-j beta s). These are the bent bore's own modes, which
-propagate in it without mode conversion. For each forward mode, (Q p, -Q v) with -beta is a backward
-mode, where Q is the sign of the straight modes' symmetry about the plane of the bend: the centre
-line rotated by half a turn about its normal is the same line, in the opposite direction. By
-reciprocity p_i Q v_j + v_i Q p_j is zero for two different modes i and j; they are normalised to
-p_i Q v_i = 1, which is the value for a straight mode of unit power.
+The coupled equations of :mod:`acoustube.waves.bends`, whose coefficients do not vary along the arc
+length s, have solutions (p, v) exp(-j beta s). p and v are pressure and axial velocity as
+coefficients of the straight bore's modes, and beta is the wavenumber. These are the bent bore's own
+modes, which propagate in it without mode conversion. For each forward mode, (Q p, -Q v) with -beta
+is a backward mode. The diagonal matrix Q is 1 for straight modes that are symmetric about the plane
+of the bend, and -1 for antisymmetric ones: the centre line rotated by half a turn about its normal
+is the same line, in the opposite direction. By reciprocity p_i Q v_j + v_i Q p_j is zero for two
+different modes i and j; they are normalised to p_i Q v_i = 1, the value for a straight mode of unit
+power.
 
 Where a bent bore continues straight, pressure and axial velocity are continuous. As sums of the
 straight bore's modes, each has therefore equal coefficients on both sides. All modes in the sums
@@ -54,9 +56,9 @@ class BentModes:
     Attributes
     ----------
     wavenumber : ndarray
-        beta in 1/m, (n_f, m).
+        beta in 1/m at n_f frequencies, (n_f, m).
     passed : ndarray
-        Transmission from the bent to the straight modes at the joint, (n_f, m_s, m). In the other
+        Transmission from m bent to m_s straight modes at the joint, (n_f, m_s, m). In the other
         direction it is the transpose.
     reflected : ndarray
         Reflection of bent modes by the joint, (n_f, m, m).

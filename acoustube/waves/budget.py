@@ -19,8 +19,8 @@ from acoustube.waves.scheme.pml import REFLECTION
 from acoustube.waves.spectral.result import SpectralScattering
 
 PLANE_WAVE_REFLECTION = -60.0
-"""Upper bound in dB of the plane wave's reflection by an absorbing end, where losses that fade out
-do not reflect more; without losses -86 dB."""
+"""Upper bound in dB of the plane wave's reflection coefficient at an absorbing end, unless losses
+that fade out before it reflect more (:func:`fading_reflection`); without losses it is -86 dB."""
 LOSSY_REFLECTION = -14.0
 """Measured reflection in dB of a mode 1 % above cut-on where losses fade out before the absorber.
 
@@ -50,8 +50,8 @@ class Budget:
         Reflection coefficient of the absorbing layer for a mode 1 % above cut-on, in dB; it is
         smaller for modes farther above their cut-on. None if no end absorbs by such a layer.
     plane_reflection : float or None
-        Upper bound of the reflection coefficient of the plane wave of the carrier there, in dB, or
-        None.
+        Upper bound of that layer's reflection coefficient for the plane wave at the carrier
+        frequency, in dB, or None.
     ringing : float
         Highest pressure in the last twentieth of the recording, in dB relative to the highest of
         the whole recording.
@@ -238,9 +238,10 @@ def delay_bias(frequency: float, spacing: float, time_step: float, sound_speed: 
 
     Notes
     -----
-    From the derivative of the dispersion relation in :mod:`acoustube.waves.scheme.operator`: with
-    X = 4 sin^2(theta/2), d theta / d Omega = sin(Omega) / (nu^2 sin(theta) (1 + 2 beta X)), which
-    is 1 / nu in the continuum.
+    The dispersion relation in :mod:`acoustube.waves.scheme.operator` relates the phases theta per
+    cell and Omega per time step. With the Courant number nu, the coefficient beta of the axial
+    correction and X = 4 sin^2(theta/2), its derivative is d theta / d Omega = sin(Omega) /
+    (nu^2 sin(theta) (1 + 2 beta X)), which is 1 / nu in the continuum.
     """
     nu = sound_speed * time_step / spacing
     beta, turn = (1 - nu**2) / 12, 2 * pi * frequency * time_step

@@ -96,7 +96,7 @@ class Step(NamedTuple):
 
 
 def steps(given: Array, wanted: NDArray[Any], begun: Onsets) -> list[Step]:
-    """Return the steps of coefficients at the cut-ons within a band.
+    """Return the steps of scattering coefficients at the cut-ons within the given band.
 
     Parameters
     ----------
@@ -124,7 +124,10 @@ def steps(given: Array, wanted: NDArray[Any], begun: Onsets) -> list[Step]:
 
 
 def _polynomials(frequency: NDArray[Any], cut_on: float, power: float) -> NDArray[Any]:
-    """Return windowed powers of u, from u^power upwards, (n, DEGREE + 1); 0 below the cut-on."""
+    """Return windowed powers of u = sqrt((f / f_c)^2 - 1), from u^power up, (n, DEGREE + 1).
+
+    They are 0 below the cut-on f_c.
+    """
     above = frequency.real > cut_on
     u = np.sqrt(np.where(above, (frequency / cut_on) ** 2 - 1, 0.0))
     window = np.where(above, np.exp(-(((frequency - cut_on) / SPAN) ** 2)), 0.0)
@@ -140,7 +143,7 @@ def without(found: list[Step], coefficients: Complex) -> Complex:
 
 
 def restored(found: list[Step], interpolated: Complex, coefficients: Complex) -> Complex:
-    """Return interpolated coefficients (n_wanted, n) plus the steps of the given (n_given, n)."""
+    """Return interpolated coefficients (n_wanted, n) plus the steps of those given (n_given, n)."""
     whole = interpolated.copy()
     for step in found:
         whole[:, step.columns] += step.wanted @ coefficients[step.fitted, step.columns]
@@ -257,7 +260,7 @@ def interpolated(
 def _spectrum(response: Complex, time: Array, frequency: NDArray[Any]) -> Complex:
     """Return the spectra of columns sampled at even times, at any frequencies, real or complex.
 
-    For evenly spaced frequencies by the chirp z-transform, which is ten times as fast as sums.
+    Evenly spaced frequencies use the chirp z-transform, which is ten times as fast as sums.
     """
     n = len(frequency)
     spacing = np.diff(frequency)
@@ -272,7 +275,7 @@ def _spectrum(response: Complex, time: Array, frequency: NDArray[Any]) -> Comple
 def _chirp_z(columns: Complex, n: int, ratio: complex, first: complex) -> Complex:
     """Return the z-transforms of columns at ``first ratio^-k`` for k from 0 to n - 1.
 
-    The same as that of ``scipy.signal``, whose import takes time and memory.
+    The same as ``scipy.signal.czt``, whose import takes time and memory.
     """
     n_in = len(columns)
     chirp = ratio ** (np.arange(max(n, n_in)) ** 2 / 2)

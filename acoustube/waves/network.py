@@ -308,8 +308,8 @@ def at_sound_speed(scattering: AnyScattering, sound_speed: float) -> AnyScatteri
     Notes
     -----
     Without losses this is exact, also on a grid. The thickness of the boundary layers in
-    wavelengths scales as the root of viscosity over speed times bore: a change by 15 K changes the
-    losses within a press, about 0.5 dB, by 4 %.
+    wavelengths scales as sqrt(nu / (c R)), with the kinematic viscosity nu, the speed of sound c
+    and the radius R: a change by 15 K changes the losses within a press, about 0.5 dB, by 4 %.
     """
     ratio = sound_speed / scattering.sound_speed
     grid: dict[str, Any] = {}

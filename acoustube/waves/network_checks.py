@@ -54,7 +54,7 @@ def check_tube(presses: Sequence[PlacedScatterer], air: Air, radius: float) -> N
 
 
 def check_reflection(name: str, value: Any, n: int) -> None:
-    """Validate that a reflection coefficient is one number, or has one of each of n frequencies."""
+    """Validate that a reflection coefficient is one number, or one for each of n frequencies."""
     if np.shape(value) not in ((), (n,)):
         raise ValueError(
             f"{name} has shape {np.shape(value)}; give one number, or one for each of the {n} "

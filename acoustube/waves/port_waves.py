@@ -66,13 +66,13 @@ class PortProblem:
     frequency : ndarray
         In Hz, (n,).
     band : tuple of float
-        Lowest and highest frequency in Hz of the modes and of the losses.
+        Range in Hz over which the losses are fitted; modes cut on below its upper end.
     odd : bool or None
         Whether the modes are antisymmetric about x = 0; None for all modes at once.
     lossy : bool
         With viscothermal losses at the wall and absorption in the air.
     absorber_thickness : float
-        In m.
+        Thickness of the absorbing layers in m.
     """
 
     def __init__(
@@ -198,7 +198,7 @@ def _half(cells: CutCells) -> tuple[CutCells, Array]:
 
 
 def _antisymmetric(setup: Setup, middle: Array, lead: int, air: Air) -> Setup:
-    """Return a half's setup with zero pressure in x = 0, half a cell before the first centres."""
+    """Return a half's setup with zero pressure on x = 0, half a cell from the first centres."""
     n = setup.cells.shape[2]
     ahead = setup.source_layer + lead
     layers = np.clip(np.arange(n) - ahead, 0, middle.shape[1] - 1)

@@ -259,7 +259,8 @@ def launching_source(wave: Array, setup: Setup, air: Air) -> Array:
     Notes
     -----
     With theta, Omega, nu and beta of :mod:`acoustube.waves.scheme.operator` and s = sin(theta/2),
-    the residue of the axial Green's function gives for increments g in the middle of the steps
+    the residue of the axial Green's function gives the amplitude p of the plane wave that
+    increments of amplitude g in the middle of the steps launch,
     p/g = sqrt(1 + 4 beta s^2) / (2 nu cos(theta/2) (1 + 8 beta s^2)).
     With beta = (1 - nu^2)/12 this is (1 + Omega^2/8) / (2 nu) up to fourth order. The factor
     1 + Omega^2/8 is cancelled by the mean of two neighbouring samples of the wave, whose response

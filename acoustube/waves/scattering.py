@@ -146,7 +146,7 @@ class PlacedScatterer:
         inside = s.inside
         if inside is not None:
             inside = PlaneWave(inside.length[::-1], inside.wavenumber[::-1])
-        # Whichever of these a class has; `derivative` may be None.
+        # Those of these arrays that the subclass has; `derivative` may be None.
         by_port = {name: getattr(s, name, None) for name in ("s", "settled", "derivative")}
         mirrored = replace(
             s, inside=inside, extent=(-s.extent[1], -s.extent[0]),
@@ -203,7 +203,7 @@ def scatter(
     longest : float
         Time in s after which a run ends even if the pressure has not decayed.
     absorber_thickness : float
-        In m. The absorbers' reflections cancel, see Notes: they only have to end the ringing.
+        In m. The absorbers only have to end the ringing: their reflections cancel, see Notes.
     progress : callable, optional
         Called with the finished fraction.
 

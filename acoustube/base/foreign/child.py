@@ -2,7 +2,7 @@
 
 The child is started with the first such file, and reads all later ones. It has limits of memory and
 time, and sends plain arrays, no Python objects. A crash or a limit ends it, and the next file gets
-a new one. Arrays stored in the file as they are in memory are mapped by this process instead.
+a new one. Arrays that a file stores uncompressed can be memory-mapped by this process instead.
 """
 
 from __future__ import annotations
@@ -30,12 +30,13 @@ from acoustube.base.foreign.serve import serve
 serve()
 """
 PIPE = 1 << 20
-"""Bytes of the pipes' buffers, where the system lets one choose: arrays pass at memory's speed."""
+"""Size of the pipes' buffers in bytes, where the system lets one choose: arrays then pass as fast
+as memory is copied."""
 KEPT = 1 << 25
 """Bytes of memory that glibc, if present, keeps after a file. Otherwise the next file would touch
 each page of this memory anew, which takes several times as long as copying it."""
 WALL = 10
-"""Ratio of a reader's allowed elapsed to processor time: a machine may be busy, a disk slow."""
+"""Elapsed time allowed to a reader over its processor time: a machine may be busy, a disk slow."""
 NUMERIC = "biufcU"
 """Values of ``dtype.kind`` of the arrays that are accepted from the child."""
 

@@ -12,7 +12,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.foreign import limits
 
 DOTTED = re.compile(rf"(?<![\w-])(?:[\w-]++\s*+\.\s*+){{{limits.NESTING}}}")
-"""Pattern of a dotted key nested too deeply: TOML's parser takes a time like its depth squared."""
+"""Pattern of too deep a dotted key: TOML's parser takes time in proportion to the depth squared."""
 PARSERS = {".toml": ("TOML", tomllib.loads), ".json": ("JSON", json.loads)}
 
 

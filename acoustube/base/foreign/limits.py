@@ -66,7 +66,7 @@ def factor() -> float:
 
 
 def largest(kind: str) -> int:
-    """Return the largest size of a file of a kind in bytes: of :data:`SIZES`, times the factor."""
+    """Return the largest size in bytes of a file of a kind: :data:`SIZES` times :func:`factor`."""
     return int(SIZES[kind] * factor())
 
 
@@ -142,7 +142,7 @@ def check_size(path: str | Path, kind: str, size: float, what: str = "holds") ->
 
 
 def check_count(path: str | Path, what: str, count: int, limit: int) -> None:
-    """Raise ConfigError if `count` exceeds a limit times :func:`factor`; `what` are the items."""
+    """Raise ConfigError if `count` exceeds a limit times :func:`factor`; `what` names the items."""
     if count > limit * factor():
         raise ConfigError(
             f"{path} has {count} {what}, over the limit of {limit * factor():g}; {RAISE}"

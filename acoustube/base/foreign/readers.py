@@ -19,7 +19,7 @@ import numpy as np
 Entry = tuple[dict[str, Any], Any]
 
 BLOCK = 1 << 28
-"""Bytes of a dataset that are read at a time."""
+"""Largest size in bytes of a chunk of a dataset, which is read at once."""
 LARGE, SAMPLE = 1_000_000, 256
 """Smallest size of an array that is searched for in its file, and size of the part that is searched
 for before the whole is compared, in bytes."""
@@ -184,7 +184,7 @@ def _counted(item: Any, total: int, most: int) -> int:
 
 
 def _values(item: Any) -> Any:
-    """Return a dataset's values or place; None if they are neither numbers nor text."""
+    """Return a dataset's values, or their :class:`Stored` place; None if not numbers or text."""
     import h5py
 
     nothing = "MATLAB_empty" in item.attrs or item.attrs.get("MATLAB_class") == b"char"

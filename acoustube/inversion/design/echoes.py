@@ -47,8 +47,8 @@ class PressedTube:
     Raises
     ------
     ConfigError
-        If a value is out of range, there are fewer than four depths, depths or forces do not
-        increase from above 0, or arrays differ in shape.
+        If a value is out of range, there are fewer than four depths, depths or forces are not
+        positive and increasing, or arrays differ in shape.
     """
 
     radius: float
@@ -75,7 +75,7 @@ class PressedTube:
         if n < FEWEST or self.reflection.shape != (n, len(self.frequency)):
             raise ConfigError(
                 f"a tube has {n} depths and reflections of shape {self.reflection.shape}; give "
-                f"{FEWEST} or more depths and (n, {len(self.frequency)})"
+                f"{FEWEST} or more depths n and reflections (n, {len(self.frequency)})"
             )
         if self.transmission is not None and self.transmission.shape != self.reflection.shape:
             raise ConfigError(
@@ -92,12 +92,12 @@ class PressedTube:
 
     @cached_property
     def _spline(self) -> CubicSpline:
-        """Reflection over depth; the untouched tube reflects nothing."""
+        """Cubic spline of the reflection over depth in m, 0 at depth 0."""
         return self._over_depth(0.0, self.reflection)
 
     @cached_property
     def _transmission_spline(self) -> CubicSpline:
-        """Transmission over depth; the untouched tube transmits all."""
+        """Cubic spline of the transmission over depth in m, 1 at depth 0."""
         assert self.transmission is not None
         return self._over_depth(1.0, self.transmission)
 
@@ -107,7 +107,7 @@ class PressedTube:
 
     @cached_property
     def _depth_of(self) -> PchipInterpolator:
-        """Depth over force."""
+        """Monotone cubic interpolant of the depth in m over the force in N."""
         return PchipInterpolator(
             np.concatenate([[0.0], self.force]), np.concatenate([[0.0], self.depth])
         )
@@ -117,16 +117,16 @@ class PressedTube:
         return np.asarray(self._depth_of(np.clip(force, 0.0, self.force[-1])))
 
     def compliance_at(self, force: Array) -> Array:
-        """Return the slopes of depth over force in m/N."""
+        """Return the derivatives in m/N of depth by force, at forces in N."""
         inside = np.clip(force, 1e-3 * self.force[0], self.force[-1] * (1 - 1e-9))
         return np.asarray(self._depth_of(inside, 1))
 
     def reflection_at(self, depth: Array, derivative: int = 0) -> Complex:
-        """Return reflections at depths in m, (n, n_f), or their derivatives by depth per m."""
+        """Return reflection coefficients at depths in m, (n, n_f), or their derivatives in 1/m."""
         return np.asarray(self._spline(depth, derivative))
 
     def transmission_at(self, depth: Array, derivative: int = 0) -> Complex:
-        """Return transmissions at depths in m, (n, n_f), or their derivatives by depth per m."""
+        """Return transmission coefficients at depths in m, (n, n_f), or the derivatives in 1/m."""
         return np.asarray(self._transmission_spline(depth, derivative))
 
 
@@ -175,7 +175,7 @@ class Contacts:
         Parameters
         ----------
         chosen : ndarray of bool
-            (n,).
+            Whether each contact is returned, (n,).
         """
         return replace(
             self, place=self.place[chosen], force=self.force[chosen], tool=self.tool[chosen]
@@ -188,7 +188,7 @@ class Contacts:
 
 
 def check_tools(tubes: Sequence[PressedTube], contacts: Contacts) -> None:
-    """Raise :class:`ConfigError` if a contact's tool has no tube among those given, by number."""
+    """Raise :class:`ConfigError` if a contact's tool is numbered beyond the last of the tubes."""
     if (last := int(contacts.tool.max())) >= len(tubes):
         raise ConfigError(
             f"a contact is of tool {last}, and the last tube is that of tool {len(tubes) - 1}; "

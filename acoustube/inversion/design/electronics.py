@@ -18,10 +18,10 @@ from acoustube.ranging import Burst, Chirp, Rangefinder
 from acoustube.ranging.analogue import HALF_WIDTH
 
 BAND_EDGE, BAND_ROLL = 0.875, 0.084
-"""Sigmoid in place of the tapers of the inversion's band: distance of its middle from the carrier,
-and its width, both relative to half the width of the band."""
+"""Sigmoid over frequency in place of the tapers of the inversion's band: distance of its middle
+from the carrier, and its width, both relative to half the width of the band."""
 TUNED = 1e-3
-"""Largest relative difference of the frequencies of drive and transducer."""
+"""Largest relative difference between the drive's frequency and the transducer's resonance."""
 
 
 class Electronics(NamedTuple):
@@ -36,8 +36,8 @@ class Electronics(NamedTuple):
     quality : float
         Quality factor of the transducer.
     level : float
-        Counts received from a complete reflection of a steady drive, over the standard deviation of
-        the noise of a sample of the mean of cycles.
+        Amplitude received from a complete reflection of a steady drive, over the standard deviation
+        of the noise in a sample of the averaged cycles.
     rate : float
         Samples per second.
     ring : float
@@ -47,7 +47,8 @@ class Electronics(NamedTuple):
     bandwidth : float
         Bandwidth of a chirp in Hz; 0 for a burst.
     low_corner, high_corner : float
-        Corner frequencies of loudspeaker and microphone in Hz; 0 for none.
+        Corner frequencies in Hz of the high-pass and of the low-pass of loudspeaker and microphone;
+        0 for none.
     """
 
     carrier: float | Array
@@ -76,7 +77,7 @@ def electronics_of(rangefinder: Rangefinder, ends: int = 1, average: int = 1) ->
     Raises
     ------
     ConfigError
-        If the drive is neither, or not at the resonance of a resonant transducer.
+        If the drive is neither of these, or not at the resonance of a resonant transducer.
     """
     r = rangefinder
     drive = _drive(r)
@@ -116,8 +117,9 @@ def _drive(rangefinder: Rangefinder) -> Burst | Chirp:
 def spectrum(frequency, electronics):  # type: ignore[no-untyped-def]
     """Return the energy spectrum of a drive after both passages of its transducer, in s2, (n_f,).
 
-    A square burst has that of :meth:`acoustube.ranging.Burst.spectrum` for whole half periods, and
-    is continuous in their number. A chirp is without the part at negative frequencies.
+    That of a square burst equals the squared :meth:`acoustube.ranging.Burst.spectrum` if it lasts a
+    whole number of half periods, and is continuous in this number. That of a chirp excludes the
+    part at negative frequencies.
     """
     one = Electronics(*electronics)
     carrier, cycles = one.carrier, one.cycles

@@ -35,9 +35,9 @@ FARTHEST, REACHES = 12.0, 48
 class Information(NamedTuple):
     """Fisher information of n contacts on a tube over frequency, per received spectral power.
 
-    Columns are the derivatives of the echo by position, depth, temperature, stretch, gain and
-    phase, each times the prior standard deviation of its parameter. A first axis of length 2 is for
-    the rangefinder at the face and for one at the far end.
+    Columns are the derivatives of the echo by position, depth, temperature, stretch of frequency,
+    gain and phase, each times the prior standard deviation of its parameter. A first axis of length
+    2 is for the rangefinder at the near end and for one at the far end.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ def information(
     temperature : float
         Of the air in degC.
     priors : Priors, optional
-        Those of temperature, stretch, gain and phase are used.
+        The standard deviations of temperature, stretch of frequency, gain and phase are used.
     hardness : float
         Relative standard deviation of the wall's modulus.
     model : float

@@ -31,7 +31,7 @@ from acoustube.waves.scattering import Complex
 
 
 class Pairs(NamedTuple):
-    """Expected errors of pairs, the nearer press first.
+    """Expected errors of n pairs of presses, the nearer press first.
 
     Attributes
     ----------
@@ -92,10 +92,10 @@ def predict_pairs(
 
     Notes
     -----
-    The Fisher information has eight parameters: positions, depths, temperature, stretch, gain and
-    phase, in units of their prior standard deviations. The second press is distinguished where the
-    part of its echo that no change of the other six explains, to first order, exceeds the level of
-    detection.
+    The Fisher information has eight parameters: two positions and depths, temperature, stretch of
+    frequency, gain and phase, in units of their prior standard deviations. The second press is
+    distinguished where the part of its echo that no change of the six parameters other than its own
+    explains, to first order, exceeds the level of detection.
     """
     check_tools(tubes, contacts)
     if any(tube.transmission is None for tube in tubes):
@@ -142,7 +142,7 @@ def predict_pairs(
 
 
 def _echoes(tubes: Sequence[PressedTube], force: Sequence[float]) -> tuple[Complex, Complex]:
-    """Return the echoes without propagation, and their derivatives by their own depth, (2, n_f)."""
+    """Return both echoes without propagation, and the derivative of each by its depth, (2, n_f)."""
     depths = [tube.depth_at(np.array([g])) for tube, g in zip(tubes, force, strict=True)]
     passed = tubes[0].transmission_at(depths[0])[0] ** 2
     echo = np.stack([tube.reflection_at(d)[0] for tube, d in zip(tubes, depths, strict=True)])

@@ -183,7 +183,7 @@ def _score(numbers, found, goal):  # type: ignore[no-untyped-def]
 
 @jax.jit
 def _scored(logs, given, tensors, goal):  # type: ignore[no-untyped-def]
-    """Return the score and its gradient: forward derivatives along each of the few logarithms."""
+    """Return the score and its gradient, by forward differentiation along each logarithm."""
 
     def scored(logs):  # type: ignore[no-untyped-def]
         found = Prediction(*_prediction(jnp.concatenate([jnp.exp(logs), given[2:]]), tensors))
@@ -240,10 +240,11 @@ def _prediction(electronics, tensors):  # type: ignore[no-untyped-def]
 
 
 def _information(known, weight, carrier, unmasked):  # type: ignore[no-untyped-def]
-    """Return the information (n, 4, 4) and, for :data:`HALF_WAVES`, three properties of the errors.
+    """Return the information (n, 4, 4), and three properties of the errors :data:`HALF_WAVES`.
 
-    They are shift of position in m, (6,), squared distance of the echoes, and scaled shift of
-    depth, both (6, n). Gain and phase of each rangefinder are eliminated.
+    They are the shift of position in m, (6,), the squared distance between the true and the
+    displaced echo, in variances of the noise, and the shift of depth, in prior standard deviations,
+    both (6, n). Gain and phase of each rangefinder are eliminated.
     """
     half = jnp.interp(carrier, known.frequency, known.wavenumber)
     off = jnp.array(HALF_WAVES) * jnp.pi / half

@@ -1,9 +1,10 @@
 """Parameters of a rangefinder from recordings of its tube, untouched and closed at known positions.
 
 Reading order: `recorded` (cycles in the band of the carrier), `model` (echoes of closures, with
-derivatives), `fit` (maximum of the posterior), `starts` (the starting values of the search for it),
-`posterior` (with unknown scatter of the closures), `estimate` (the fit as a whole), `background`
-(ring-down, far end, clutter), `noise`, and `material` (the wall's modulus, from presses).
+derivatives), `fit` (maximum of the posterior), `starts` (starting values of that fit), `noise`
+(variances of the data), `posterior` (averaged over the unknown scatter of the closures), `estimate`
+(all steps of the fit), `background` (ring-down, far end, clutter), and `material` (the wall's
+modulus, from presses).
 """
 
 from acoustube.inversion.twin.background import Background, Measured, fit_background

@@ -29,21 +29,24 @@ from acoustube.waves.scattering import Complex
 SPACING = MEASURED_SPACING
 """Spacing in m of the reflectors that represent the clutter."""
 DENSITIES = np.geomspace(1e-8, 1e-2, 25)
-"""Values in 1/m of the power reflected per length, over which it is averaged by its likelihood."""
+"""Grid in 1/m of the power that the clutter reflects per length. Its estimate is the mean over this
+grid, weighted by the likelihood."""
 RING_SHARE = 1.5e-3
-"""Time in s over which the level of the ring-down is fitted."""
+"""Duration in s, from the first data that are used, over which the ring-down's level is fitted."""
 DETECTED = 6.0
 """Level of the far end's echo above which it is detected, in standard deviations of noise and
 clutter."""
 AROUND_END = 0.04
-"""Half the width in m of the part of the tube that belongs to the far end."""
+"""Length in m before the far end in which no clutter is estimated. Echoes from within twice this
+length of the far end do not count for the level of noise and clutter."""
 AROUND, FINEST = 0.5, 2e-3
-"""Length in m of tube, before and behind the part where the far end is sought, whose echoes give
-the level of noise and clutter; least length in m of that part."""
+"""Length in m of tube, at either side of the part in which the far end is sought, whose echoes also
+count for the level of noise and clutter. Least length in m of that part, if the length of the tube
+is stated."""
 ROUNDING, HIDDEN = 1 / 12, 0.1
-"""Variance of the rounding error in counts squared. Standard deviation in counts of estimates of a
-noise below :data:`acoustube.inversion.twin.estimate.DITHERED`: the scatter of rounded samples then
-depends on where the offset lies between two counts."""
+"""Variance of the rounding error in counts squared. Standard deviation in counts of an estimate of
+noise that is below :data:`acoustube.inversion.twin.estimate.DITHERED`: the scatter of rounded
+samples then depends on where the offset lies between two counts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +70,7 @@ class Background:
     Attributes
     ----------
     send : Measured
-        Level at which the rangefinder's own drive is received, if steady and at resonance.
+        Amplitude at which the rangefinder receives its own drive, in steady state at resonance.
     far_reflection : Measured
         Reflection coefficient of the far end; 0 where no echo of it is received.
     length : Measured or None
@@ -125,9 +128,9 @@ def fit_background(
 
     Notes
     -----
-    The level of the ring-down is fitted by least squares. The far end is then estimated by the
-    correlation with its echo, and the clutter by Wiener's filter: as reflectors along the tube,
-    Gaussian a priori, with the mean density of its posterior.
+    The level of the ring-down is fitted by least squares. The far end is then estimated from the
+    correlation with its modelled echo, and the clutter by a Wiener filter: its reflectors along the
+    tube have a Gaussian prior, with the posterior mean of their power per length.
     """
     band = twin.band
     received = band.baseband(twin.untouched.spectrum)
@@ -158,7 +161,7 @@ def fit_background(
 
 
 def ring_down(twin: Twin) -> Complex:
-    """Return the spectrum in s of a ring-down of level 1, faded in as the cycles are, (n_f,)."""
+    """Return the spectrum (n_f,) in s of a ring-down of amplitude 1, faded in as cycles are."""
     band: Band = twin.band
     shared = dict(zip(SHARED, twin.point.shared.tolist(), strict=True))
     n = 2 * band.n_samples
@@ -211,7 +214,8 @@ def _far_end(
 ) -> tuple[Measured, Measured | None]:
     """Return the far end's reflection coefficient, and its distance in m if its echo is detected.
 
-    The echo is sought in `left`, (n_t,): within 3 % of a stated length, or beyond all closures.
+    The echo is sought in `left`, the baseband without the ring-down, (n_t,): within 3 % of a stated
+    `length` in m, or else between the farthest closure and `reach` in m.
     """
     heard = 0.5 * SPEED * twin.band.first
     farthest = float(twin.model.places.max())
@@ -243,7 +247,7 @@ def _far_end(
 def _clutter(
     twin: Twin, left: Complex, used: NDArray[np.bool_], places: Array, temperature: float
 ) -> tuple[Array, Measured, Complex]:
-    """Return the clutter: reflection coefficients (n_z,), power per m, and baseband (n_t,).
+    """Return the clutter: reflection coefficients (n_z,), power in 1/m, and baseband (n_t,).
 
     `left` is the baseband of the untouched cycles without ring-down and far end, in counts, (n_t,).
     """
@@ -302,10 +306,10 @@ def _variations(
 
 
 def _scatter(values: Sequence[Array], means: Sequence[Means], scale: float) -> Measured:
-    """Return the standard deviation of values within groups, less the contribution of noise.
+    """Return the standard deviation of delays or gains within groups, less that due to noise.
 
-    `scale` is the phase or gain per unit of the values. Without a group of more than two values the
-    result is 0 with an infinite standard deviation.
+    `scale` is 1 for gains, and for delays in s the phase per delay in rad/s. Without a group of
+    more than two values the result is 0 with an infinite standard deviation.
     """
     known = [(v, m.wobble / scale**2) for v, m in zip(values, means, strict=True) if len(v) > 2]
     if not known:
@@ -314,7 +318,7 @@ def _scatter(values: Sequence[Array], means: Sequence[Means], scale: float) -> M
     total = sum(float(np.sum((v - v.mean()) ** 2)) for v, _ in known) / freedom
     noise = sum(w * (len(v) - 1) for v, w in known) / freedom
     value = float(np.sqrt(max(total - noise, 0.0)))
-    # That of the square is proportional to the whole variance, including the noise's.
+    # The standard deviation of the variance is proportional to the total variance, with the noise.
     spread = total * float(np.sqrt(2 / freedom))
     deviation = float(np.sqrt(spread))
     if value > 0:

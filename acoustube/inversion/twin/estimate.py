@@ -43,12 +43,13 @@ PRIORS = {
 } | {name: (0.0, 0.01) for name in SHARED if name[-1] in "123"}  # fmt: skip
 """Prior mean and standard deviation of each parameter of :data:`SHARED`. The means of the resonance
 and of the drive's frequency are replaced by the received carrier. The standard deviation of the
-losses is due to the air's viscosity, which is known to 0.5 % and to whose root they are
-proportional, and to theories of the losses, which differ by 0.2 %. It holds at the assumed
-humidity: a change of the absorption in the air by a tenth is 1 % of the losses."""
+losses has two causes: the viscosity of air, to whose square root they are proportional, is known to
+0.5 %, and theories of the losses differ by 0.2 %. It holds at the assumed humidity: an absorption
+in the air that is higher by a tenth raises the losses by 1 %."""
 MODEL_ERRORS = {"temperature_offset": 0.05, "log_resonance": 2e-5, "log_quality": 2e-4}
-"""Standard deviations due to effects that the model leaves out and that do not decrease with the
-number of closures: clutter that neighbouring closures share, and the thermometer's steps."""
+"""Standard deviations of parameters of :data:`SHARED` due to effects that the model leaves out and
+that do not decrease with the number of closures: clutter that neighbouring closures share, and the
+resolution of the thermometer."""
 FIRST_PLACEMENT, FIRST_LEVEL, PHASE = 3e-3, 0.1, 1e3
 """Prior standard deviations of a closure's position in m, of its log level and of its phase in rad,
 in the first fit."""
@@ -69,9 +70,9 @@ BEYOND_END = 0.02
 """Distance in m by which a closure's label may exceed the stated length: the position of a plug in
 the far end may be that of either of its faces."""
 FEWEST = 2
-"""Least number of places of closures."""
+"""Least number of different places at which the tube has to be closed."""
 ROUNDS = 3
-"""Number of fits, before each of which the error of the model is estimated."""
+"""Number of fits, before each of which the variances of the noise are estimated from residuals."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,8 +155,8 @@ def fit_twin(
     start : float
         Time of the first sample in s from the start of the drive.
     length : float, optional
-        Length of the tube in m, by default the distance of the farthest closure. The temperature
-        has its mean at half this length.
+        Length of the tube in m, by default the distance of the farthest closure. The temperature,
+        which varies linearly along the tube, is estimated at half this length.
     humidity : float, optional
         Relative humidity of the air in per cent. The estimated temperature is then that of moist
         air; by default it is that at which dry air has the estimated speed of sound.
@@ -165,8 +166,8 @@ def fit_twin(
     Raises
     ------
     ConfigError
-        If a closure lies beyond the end of the tube; if closures at fewer than two places can be
-        used, with the first reason; or as :func:`acoustube.inversion.twin.recorded.band_of`.
+        If a closure lies beyond the end of the tube, or closures at fewer than two places can be
+        used, with the first reason. Also as :func:`acoustube.inversion.twin.recorded.band_of`.
     """
     _check_places(closed, length)
     band = band_of(closed, untouched.cycles, rate, start)
@@ -216,7 +217,7 @@ def _fitted(
     closed: Sequence[Group],
     show: Callable[[str, float], None],
 ) -> Twin:
-    """Return the sensor fitted with one model, without closures that it cannot explain."""
+    """Return the sensor fitted by one model to all closures except those that it cannot explain."""
     band, prior = model.band, _first_prior(model.band, len(values))
     floors = np.array([one.variance for one in means]) + _rounding(closed, band)
     while True:
@@ -247,7 +248,7 @@ def _refined(
     floors: Array,
     show: Callable[[str, float], None],
 ) -> tuple[Data, Point, Normal]:
-    """Return the data with variances estimated from residuals, and the posterior's maximum."""
+    """Return data with variances from residuals, the posterior's maximum and normal equations."""
     normal = None
     for i in range(ROUNDS):
         show("fitting the echoes", 0.5 + 0.5 * i / ROUNDS)
@@ -268,7 +269,10 @@ def _first_prior(band: Band, n: int) -> Prior:
 
 
 def _windowed(model: EchoModel, values: Complex, floors: Array) -> Data:
-    """Return the data in windows about the echoes and their repetitions."""
+    """Return basebands (n, n_t) with segments about the echoes and their repetitions.
+
+    The variances are 1e-3 of the mean power in a segment plus the white noise `floors`, (n,).
+    """
     time, band = model.band.time, model.band
     segments = np.zeros(values.shape, int)
     for number in (2, 1):
@@ -289,7 +293,7 @@ def _rounding(closed: Sequence[Group], band: Band) -> Array:
 
 
 def _quantised_levels(closed: Sequence[Group], data: Data, part: Array) -> Array:
-    """Return the standard deviations of the log levels due to rounding, if it distorts, (n,)."""
+    """Return the standard deviations of log levels due to rounding, 0 if noise dithers it, (n,)."""
     peaks = np.where(data.segments == 1, np.abs(data.values), 0).max(axis=1)
     rounded = [_distorted(closed[i]) for i in part]
     return np.where(rounded, 0.3 * np.maximum(peaks, 1.0) ** -1.5, 0.0)
@@ -304,7 +308,8 @@ def _distorted(group: Group) -> bool:
 def _unusable(band: Band, group: Group, spectrum: Complex, rails: tuple[float, float]) -> str:
     """Return why a closure cannot be used, or an empty string if it can be.
 
-    `rails` are the smallest and the largest count of all cycles.
+    `spectrum` is that of the closure's mean in counts s, (n_f,), less the ring-down. `rails` are
+    the smallest and the largest count of all cycles.
     """
     flight = 2 * group.place / SPEED
     if not np.isfinite(group.place) or group.place <= 0:
@@ -333,7 +338,7 @@ def _unusable(band: Band, group: Group, spectrum: Complex, rails: tuple[float, f
 def _wrong(model: EchoModel, data: Data, point: Point) -> dict[int, str]:
     """Return the closures, by index, that the model cannot explain, and why.
 
-    These are all closures without an echo, else the one of the most outlying position.
+    These are all closures without an echo, or else the one with the most outlying position.
     """
     inside = data.segments == 1
     left = _sums(np.abs(data.values - model(*point).value) ** 2, inside)
@@ -351,13 +356,13 @@ def _wrong(model: EchoModel, data: Data, point: Point) -> dict[int, str]:
         return {}
     worst = int(far[np.argmax(np.abs(error[far]))])
     return {
-        worst: f"its echo comes from {CM * (model.places[worst] + error[worst]):.1f} cm by all "
-        "others; check the label"
+        worst: f"its echo comes from {CM * (model.places[worst] + error[worst]):.1f} cm according "
+        "to all other closures; check the label"
     }
 
 
 def _line_removed(places: Array, error: Array) -> Array:
-    """Return the errors of positions (n,) less their line of least absolute deviations."""
+    """Return the errors of positions (n,) minus the line fitted by least absolute deviations."""
     design = np.stack([np.ones_like(places), places], axis=1)
     weight = np.ones_like(places)
     left = error

@@ -26,10 +26,10 @@ from acoustube.waves.scattering import Complex
 SPEED = 343.2
 """Nominal speed of sound in m/s."""
 ITERATIONS, CONVERGED = 40, 1e-6
-"""Largest number of steps, and decrease of the objective per step below which the fit ends. The
-latter is multiplied by 1e-4 of the objective where that exceeds 1."""
+"""Largest number of steps. Decrease of the objective in a step below which the fit ends, times
+1e-4 of the objective where that exceeds 1."""
 FIRST_DAMPING, LEAST_DAMPING = 1e-2, 1e-9
-"""Initial and least damping of the steps."""
+"""Initial and least damping of the steps, relative to the diagonal of the matrix to be solved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,14 +90,14 @@ class Normal(NamedTuple):
     Attributes
     ----------
     shared : ndarray
-        Half the Gauss-Newton Hessian by the parameters of the sensor, (n_shared, n_shared).
+        Half the Gauss-Newton Hessian of the misfit: block of the sensor, (n_shared, n_shared).
     mixed : ndarray
-        That by parameters of the sensor and of each closure, (n, n_shared, n_local).
+        Its blocks between the sensor and each closure, (n, n_shared, n_local).
     local : ndarray
-        That by the parameters of each closure, (n, n_local, n_local).
+        Its block of each closure, (n, n_local, n_local).
     right_shared, right_local : ndarray
-        Minus half the gradient by the parameters of the sensor, (n_shared,), and of each closure,
-        (n, n_local).
+        Minus half the gradient of the misfit by the parameters of the sensor, (n_shared,), and of
+        each closure, (n, n_local).
     misfit : float
         Weighted sum of the squared residuals.
     """
@@ -111,7 +111,7 @@ class Normal(NamedTuple):
 
 
 def normal_equations(model: EchoModel, data: Data, point: Point) -> Normal:
-    """Return the normal equations of the data at a point."""
+    """Return the normal equations of the data, linearised at given parameters."""
     echoes = model(*point)
     weights = data.weights
     left = data.values - echoes.value
@@ -134,7 +134,7 @@ def normal_equations(model: EchoModel, data: Data, point: Point) -> Normal:
 
 
 def solve(normal: Normal, prior: Prior, point: Point, damping: float) -> tuple[Array, Array]:
-    """Return damped steps of the parameters of sensor, (n_shared,), and closures, (n, n_local)."""
+    """Return damped Gauss-Newton steps of sensor, (n_shared,), and closures, (n, n_local)."""
     precision, local_precision = prior.deviation**-2.0, prior.local**-2.0
     a = normal.shared + np.diag(precision)
     c = normal.local + local_precision[:, :, None] * np.eye(normal.local.shape[1])

@@ -25,8 +25,8 @@ DEPTH_SCATTERS = np.geomspace(2e-6, 1e-3, 24)
 """Standard deviations of the stated forces (relative) and of the stated depths (in m) over which
 the results are averaged."""
 USUAL_FORCE, USUAL_DEPTH, WIDTH = 0.03, 5e-5, 1.0
-"""Prior medians of these standard deviations, of forces (relative) and of depths (in m), and prior
-standard deviation of their logarithms."""
+"""Prior medians of the standard deviations of stated forces (relative) and of stated depths (in m),
+and prior standard deviation of the logarithms of these two standard deviations."""
 ECHO_DEPTH = 3e-5
 """Standard deviation in m of depths from an echo due to errors of the model, which the posterior of
 the depth leaves out."""
@@ -76,11 +76,12 @@ class Material:
         Stated depth in m at first contact.
     expected : ndarray
         Forces in N expected from the modulus and the depths, (n,); nan where the depth is not known
-        or outside the library's.
+        or outside the library's range.
     left_out : dict
         Reasons why presses are left out, by index of the press.
     yields : bool
-        Whether the compliance exceeds :data:`SIGNIFICANT` standard deviations at a given modulus.
+        Whether the compliance exceeds :data:`SIGNIFICANT` times the standard deviation that it
+        would have if the modulus were known.
     """
 
     young_modulus: Measured
@@ -125,8 +126,8 @@ def fit_material(presses: Sequence[Press]) -> Material:
     modulus = float(moduli[0]) if presses else np.nan
     if not np.isfinite(modulus):
         raise ConfigError(
-            "the library does not state a modulus that its forces are proportional to; make one on "
-            "rigid ground with acoustube library"
+            "the library does not state a modulus that its forces are proportional to; make a "
+            "library on rigid ground with acoustube library"
         )
     told = np.array([one.depth for one in presses], float)
     sure = np.hypot([one.depth_deviation for one in presses], ECHO_DEPTH)
@@ -165,7 +166,7 @@ def fit_material(presses: Sequence[Press]) -> Material:
 
 
 def _ground(told: Array, sure: Array, stated: Array, load: Array) -> tuple[Measured, Measured]:
-    """Return the origin of the stated depths in m, and the ground's compliance in m/N.
+    """Return the stated depth in m at first contact, and the ground's compliance in m/N.
 
     Depths from the echo, their standard deviations and stated depths are in m, loads in N, (n,).
     """
@@ -185,9 +186,10 @@ def _ground(told: Array, sure: Array, stated: Array, load: Array) -> tuple[Measu
 def _stiffness(
     presses: Sequence[Press], depth: Array, sure: Array, force: Array
 ) -> tuple[Measured, Array, dict[int, str]]:
-    """Return the log of the modulus over the library's, the library's forces, and presses left out.
+    """Return the log of the wall's modulus over the library's, its forces, and presses left out.
 
-    Depths and their standard deviations are in m, stated forces and the library's in N, (n,).
+    Depths and their standard deviations `sure` are in m, stated forces and the library's forces at
+    these depths in N, (n,).
     """
     known, left_out = np.zeros(len(presses), bool), {}
     log_force, slope, expected = np.zeros((3, len(presses)))
@@ -213,7 +215,7 @@ def _stiffness(
         off = np.abs(log_force - np.median(found))
         limit = max(OUTLYING * 1.48 * float(np.median(off[known])), LEAST_OUTLYING)
         for k in np.flatnonzero(known & (off > limit)):
-            left_out[int(k)] = "its force is not that of its depth by all others; check the label"
+            left_out[int(k)] = "unlike others, its force does not fit its depth; check its label"
             known[k] = False
     mean, covariance = _averaged(
         np.ones((int(known.sum()), 1)), log_force[known], (slope * sure)[known] ** 2,

@@ -173,7 +173,7 @@ class EchoModel:
     def _path(
         self, f: Array, p: dict[str, float], displacement: Array
     ) -> tuple[Complex, dict[str, Complex]]:
-        """Return the phase in rad to each closure and back, (n, n_f), and derivatives by name."""
+        """Return phases (n, n_f) in rad to closures and back, and derivatives by each parameter."""
         air = float(np.mean(self.temperatures)) + p["temperature_offset"]
         waves = wavenumbers(f, NOMINAL_RADIUS * exp(p["log_radius"]), air, self.humidity)
         loss = exp(p["log_loss"])
@@ -256,8 +256,8 @@ def wavenumbers(
 
     Notes
     -----
-    Computed at Chebyshev points and interpolated by a polynomial of 12 terms, which converges to
-    1e-12 over a fifth of the carrier to both sides.
+    They are computed at Chebyshev points and interpolated by a polynomial of 12 terms, which
+    converges to 1e-12 in a band from 0.8 to 1.2 of the carrier frequency.
     """
     low, high = float(frequency.min()), float(frequency.max())
     nodes = _at_nodes(low, high, radius, temperature, humidity)

@@ -29,8 +29,8 @@ class Score(NamedTuple):
     Attributes
     ----------
     shared, mixed, local : ndarray
-        Blocks of the parameters of the sensor, (n, n_shared, n_shared), of these and those of the
-        closure, (n, n_shared, n_local), and of the latter alone, (n, n_local, n_local).
+        Blocks of the covariance: of the sensor's parameters, (n, n_shared, n_shared), between these
+        and the closure's, (n, n_shared, n_local), and of the closure's, (n, n_local, n_local).
     """
 
     shared: Array
@@ -55,9 +55,9 @@ def with_variances(model: EchoModel, data: Data, prior: Prior, point: Point, flo
     Notes
     -----
     The power density of the noise is ``a P + b W``: P is that of the echo, W that of white noise in
-    the tapered band, of mean one, and b its variance in `floors`. The residuals ``(I - H) n`` of a
-    linear least-squares fit with the hat matrix H have, weighted by P, the power
-    ``tr[P (I - H) (a P + b W) (I - H)^T]``, from which a follows. The noise of other closures and
+    the tapered band, of mean one, and b its variance in `floors`. A linear least-squares fit with
+    the hat matrix H leaves the residuals ``(I - H) e`` of noise e. Weighted by P, their expected
+    power is ``tr[P (I - H) (a P + b W) (I - H)^T]``, which gives a. The noise of other closures and
     of the other segment, which contributes through the parameters, is neglected. The variance is
     the mean density weighted by P, and at least the variance of the residuals.
     """
@@ -97,7 +97,7 @@ def with_variances(model: EchoModel, data: Data, prior: Prior, point: Point, flo
 
 
 def score_of(model: EchoModel, data: Data, point: Point) -> Score:
-    """Return the covariance of the score under the estimated density of the noise.
+    """Return the covariance of the score under the estimated power density of the noise.
 
     Notes
     -----
@@ -152,7 +152,7 @@ def _joint_covariance(normal: Normal, prior: Prior) -> Array:
 
 
 def _spectra(values: Complex, inside: NDArray[np.bool_]) -> Complex:
-    """Return unitary transforms (n, m, n_t) of the values inside a segment (n, n_t)."""
+    """Return unitary Fourier transforms (n, m, n_t) of the values inside a segment (n, n_t)."""
     return np.asarray(np.fft.fft(np.where(inside[:, None], values, 0), axis=-1, norm="ortho"))
 
 

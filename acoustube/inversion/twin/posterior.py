@@ -27,8 +27,8 @@ COLOURS = np.geomspace(1e-4, 0.1, 7)
 """Standard deviations of the coefficients of the send pulse's correction (``level_k``, ``phase_k``)
 that are marginalised over."""
 USUAL = ((1e-3, 1.5), (0.02, 1.5), (0.01, 2.0))
-"""Log-normal priors of these standard deviations, in the order of :data:`PLACEMENTS`,
-:data:`LEVELS` and :data:`COLOURS`: median, and standard deviation of the logarithm."""
+"""Log-normal priors of the standard deviations in :data:`PLACEMENTS`, :data:`LEVELS` and
+:data:`COLOURS`: median, and standard deviation of the logarithm."""
 
 
 class Posterior(NamedTuple):
@@ -42,8 +42,8 @@ class Posterior(NamedTuple):
     covariance : ndarray
         Covariance of the parameters, (n_shared, n_shared).
     placement, level, colour : float
-        Most likely standard deviations of positions in m, of log levels and of the correction's
-        coefficients.
+        Most likely standard deviations of positions in m, of log levels and of the coefficients of
+        the send pulse's correction.
     displacement, displacement_deviation : ndarray
         Errors of the n stated positions in m, and their standard deviations, (n,).
     """
@@ -58,7 +58,10 @@ class Posterior(NamedTuple):
 
 
 def with_scatter(prior: Prior, placement: float, level: Array | float, colour: float) -> Prior:
-    """Return priors with given standard deviations of positions, log levels and correction."""
+    """Return priors with other standard deviations of positions in m, log levels and correction.
+
+    The correction is that of the send pulse, with the coefficients ``level_k`` and ``phase_k``.
+    """
     deviation = prior.deviation.copy()
     deviation[list(CORRECTIONS)] = colour
     local = prior.local.copy()
@@ -81,7 +84,7 @@ def posterior(
     extra_level : ndarray
         Known standard deviations of the log levels of the closures, due to rounding, (n,).
     score : Score, optional
-        Covariance of the score if the noise is not white; by default that of the weights.
+        Covariance of the score if the noise is not white; white noise by default.
 
     Notes
     -----
@@ -89,8 +92,8 @@ def posterior(
     evidence has a closed form. The average over a grid has the mean and the covariance of the
     mixture; with few closures it is wider, as Student's distribution is. With a score, the
     covariance of the shared parameters is White's, which is that of the estimate under this noise.
-    The variance of a position is then the part due to its own data, which follows from the weights,
-    and that through the shared parameters.
+    The variance of a position is then the sum of two parts: that due to its own data, which follows
+    from the weights, and that due to the covariance of the shared parameters.
     """
     cases = list(product(PLACEMENTS, LEVELS, COLOURS))
     n, p = len(point.local), len(point.shared)
@@ -121,7 +124,7 @@ def posterior(
 def _given(
     normal: Normal, prior: Prior, point: Point, score: Score | None = None
 ) -> tuple[float, Array, Array, Array, Array]:
-    """Return log evidence, mean, covariance, displacements and their variances for one scatter."""
+    """Return log evidence, mean, covariance, displacements and their variances for one prior."""
     precision, local_precision = prior.deviation**-2.0, prior.local**-2.0
     a = normal.shared + np.diag(precision)
     c = normal.local + local_precision[:, :, None] * np.eye(len(LOCAL))

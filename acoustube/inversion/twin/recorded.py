@@ -170,7 +170,7 @@ class Band:
         width = round(TAPER * n)
         rise = np.sin(pi / 2 * (np.arange(width) + 0.5) / width) ** 2
         self.taper[:width] = rise
-        if not self.folded:  # the folded band is continuous there
+        if not self.folded:  # a folded band continues in its image
             self.taper[n - width :] = rise[::-1]
         self.scale = 2 * n * step
         self.time: Array = start + np.arange(n) / (n * step)
@@ -244,7 +244,7 @@ def band_of(
     mean = np.asarray(untouched[:256], float).mean(axis=0)
     level = mean[-int(QUIET_SHARE * n) :].mean()
     size = np.abs(mean - level)
-    # Only the first part is used: behind it the largest deviations are echoes, or noise.
+    # Only the first part is used: later the largest deviations are echoes, or noise.
     part = size[: n // 3]
     if np.sum(part >= AT_RAIL * part.max()) < LEAST_CLIPPED:
         part = part[: max(int((UNCLIPPED_END - start) * rate), 16)]

@@ -21,7 +21,8 @@ COMMON = [SHARED.index(name) for name in ("trigger", "temperature_offset")]
 """Indices in :data:`acoustube.inversion.twin.model.SHARED` of the parameters that delay all echoes,
 equally or in proportion to their distance."""
 REWEIGHTED = 5
-"""Number of least-squares fits of these, of which the last minimise absolute deviations."""
+"""Number of least-squares fits of the parameters in :data:`COMMON`, with weights such that the last
+ones minimise absolute deviations."""
 QUALITY_FACTORS = (5.0, 10.0, 20.0, 40.0)
 DRIVE_CYCLES = (4.0, 7.0, 10.0, 13.0, 16.0, 19.0, 22.0, 25.0)
 DETUNED = (-0.06, -0.04, -0.02, 0.0, 0.02, 0.04, 0.06)
@@ -31,11 +32,12 @@ WHOLE_CYCLES, HALF_CYCLES = (-1.0, 0.0, 1.0), (-0.5, 0.5)
 """Changes of the burst's length in periods with which the fit is started again: first from each
 starting point, then from the best maxima."""
 BEST, ROUNDS = 3, 2
-"""Number of the best maxima that are followed, and number of rounds in which they are."""
+"""Number of the best maxima from which the fit is started again with bursts of other lengths, and
+number of rounds in which this is done."""
 SHARPER = 30.0
 """Factor by which the variances are reduced before the best maximum is chosen."""
 WRAPS = (-0.5, 0.0, 0.5)
-"""Delays of the drive in periods from which the fit of echoes with their repetitions starts."""
+"""Delays of the drive, in periods, with which the fit of echoes and their repetitions starts."""
 SEARCHED, SEARCH_STEP = 0.4e-3, 4e-6
 """Half range and step in s of the delays at which the echo of a closure is sought."""
 SEARCH_CLOSURES, SEARCH_ITERATIONS = 6, 20
@@ -44,20 +46,21 @@ starting point."""
 
 
 def start_points(model: EchoModel, data: Data, prior: Prior) -> list[Point]:
-    """Return starting points: for each burst length the transducer whose echoes correlate best.
+    """Return starting points: for each burst length the transducer that fits the data best.
 
     Parameters
     ----------
     model : EchoModel
     data : Data
     prior : Prior
-        Its mean is the starting value of the other parameters but the gain, which is fitted.
+        Its mean is the starting value of the other parameters, except the gain, which is fitted.
 
     Notes
     -----
-    The delay of each closure is that at which the magnitude of the correlation is largest. This
-    magnitude does not depend on the carrier's phase, which is ambiguous by half wavelengths. What
-    the delays have in common is due to the trigger and the temperature, the rest to displacements.
+    The fit is judged by the correlation of modelled with recorded echoes, at the delay of each
+    closure at which its magnitude is largest. This magnitude does not depend on the carrier's
+    phase, which is ambiguous by half wavelengths. What the delays have in common is due to the
+    trigger and the temperature, the rest to displacements.
     """
     base = log(model.band.carrier / NOMINAL_FREQUENCY)
     points = []
@@ -76,7 +79,7 @@ def start_points(model: EchoModel, data: Data, prior: Prior) -> list[Point]:
 
 
 def _placed(model: EchoModel, data: Data, prior: Prior, shared: Array) -> Point:
-    """Return a point with the delays, levels and phases of the closures that fit best."""
+    """Return parameters with the delays, levels and phases of the closures that fit best."""
     delays, _ = _delays(model, data, shared)
     common, left = _common(model, prior, shared, delays)
     shared, local = shared.copy(), np.zeros((len(delays), len(LOCAL)))
@@ -86,10 +89,10 @@ def _placed(model: EchoModel, data: Data, prior: Prior, shared: Array) -> Point:
 
 
 def _common(model: EchoModel, prior: Prior, shared: Array, delays: Array) -> tuple[Array, Array]:
-    """Return the changes of :data:`COMMON` that explain delays (n,) best, and what they leave.
+    """Return the changes of :data:`COMMON` that explain delays (n,) best, and the residual delays.
 
     The delays are in s, and `shared` are the parameters for which they were found. The prior limits
-    the changed parameters. Large delays, as of wrong labels, count by their magnitude.
+    the changed parameters. Large residuals, as of wrong labels, count by their magnitude alone.
     """
     away = (prior.mean - shared)[COMMON]
     air = float(model.temperatures.mean()) - ABSOLUTE_ZERO
@@ -134,7 +137,7 @@ def _delays_sought() -> Array:
 
 
 def _levelled(model: EchoModel, data: Data, point: Point) -> Point:
-    """Return a point with the gain, and the levels and phases of closures, that fit best."""
+    """Return parameters with the gain, and the levels and phases of closures, that fit best."""
     value = model.value(*point)
     heard = np.where(data.segments == 1, 1.0, 0.0)
     product = np.sum(heard * data.values * value.conj(), axis=1)
@@ -226,7 +229,7 @@ def _frozen(prior: Prior, cycles: float) -> Prior:
 def _other_burst(
     model: EchoModel, data: Data, prior: Prior, point: Point, step: float
 ) -> Point | None:
-    """Return a starting point with a burst longer by `step` periods, about the same middle.
+    """Return a starting point with a burst longer by `step` periods, with its middle unchanged.
 
     The length is rounded to half periods. None if the burst would be shorter than one period.
     """

@@ -1,1 +1,1 @@
-"""Results of a design: `drawing`, `figures`, `page` and `files` (the content of its folder)."""
+"""Designed sensors: `drawing`, `figures`, HTML `page`, and `files` (the content of a folder)."""

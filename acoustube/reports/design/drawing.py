@@ -1,4 +1,4 @@
-"""Dimensioned drawing of a sensor: section of its tube, and the whole from the side."""
+"""Dimensioned drawing of a sensor: cross-section of its tube, and the sensor from the side."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from acoustube.runs.design.candidates import Candidate
 WALL, AIR, PART, GROUND = "#c9d6df", "#ffffff", "#4a6572", "#d9cbb0"
 MEASURE = {"arrowstyle": "<->", "lw": 0.8, "shrinkA": 0, "shrinkB": 0}
 SIDE = 16.0
-"""Length of the drawn tube in outer diameters; lines of a break show that it is shortened."""
+"""Length of the drawn tube in outer diameters; two break lines show that it is shortened."""
 
 
 def drawing(design: DesignGoal, candidate: Candidate) -> Figure:
-    """Draw the section of a sensor's tube to scale, and the sensor from the side, shortened.
+    """Draw the cross-section of a sensor's tube to scale, and the sensor from the side, shortened.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def drawing(design: DesignGoal, candidate: Candidate) -> Figure:
 
 
 def _section(axes: Axes, design: DesignGoal, candidate: Candidate) -> None:
-    """Draw bore, wall and ground with their dimensions in mm."""
+    """Draw the tube's cross-section on the ground, with dimensions in mm."""
     bore, wall = candidate.tube.bore, candidate.tube.wall
     outer = bore + 2 * wall
     radius = outer / 2
@@ -57,7 +57,7 @@ def _section(axes: Axes, design: DesignGoal, candidate: Candidate) -> None:
 
 
 def _side(axes: Axes, design: DesignGoal, candidate: Candidate) -> None:
-    """Draw rangefinders, tube, tool and far end along the axis, the tube shortened."""
+    """Draw rangefinders, shortened tube, indenter and far end from the side."""
     bore, wall = candidate.tube.bore, candidate.tube.wall
     outer = bore + 2 * wall
     length, part = SIDE * outer, 1.6 * outer
@@ -79,7 +79,7 @@ def _side(axes: Axes, design: DesignGoal, candidate: Candidate) -> None:
     axes.text(
         middle + 0.6 * tool, outer + tool / 2, f"rod {tool:g} mm", color="#c1443c", fontsize=8
     )
-    for shift in (0, 0.5 * outer):  # the lines of the break
+    for shift in (0, 0.5 * outer):  # break lines
         x = 0.3 * length + shift
         path = [x, x + 0.3 * outer, x - 0.3 * outer, x]
         height = [-0.9 * outer, -0.25 * outer, 0.25 * outer, 0.9 * outer]
@@ -102,7 +102,7 @@ def _device(axes: Axes, start: float, part: float, outer: float, candidate: Cand
 
 
 def _words(candidate: Candidate) -> str:
-    """Return transducer, pulse and converter in words."""
+    """Return a description of the transducer, the pulse, the ADC and the number of rangefinders."""
     r = candidate.rangefinder
     assert isinstance(r.drive, Burst | Chirp)
     if candidate.transducer == "loudspeaker":

@@ -13,13 +13,13 @@ from acoustube.runs.design.candidates import Candidate
 from acoustube.runs.design.choice import Map
 
 LEVELS = 0.01, 1.0
-"""Relative errors of force at the ends of the colour scale."""
+"""Relative standard deviations of the force at the ends of the colour scale."""
 
 
 def front_figure(
     front: Sequence[Candidate], named: Sequence[tuple[str, Candidate]], reach: float
 ) -> Figure:
-    """Draw the candidates' error of force over their reach, coloured by resolution.
+    """Draw the rms error of force of candidates over their reach, coloured by resolution.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def front_figure(
 
 
 def map_figure(found: Map, title: str) -> Figure:
-    """Draw maps of the expected errors of force and of place, over place and force.
+    """Draw maps of the standard deviations of force and of position, over position and force.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Files of a design's folder."""
+"""Files in the folder that ``acoustube design`` writes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from acoustube.runs.design.run import Designed
 
 
 def contents_of(found: Designed) -> dict[str, bytes | str]:
-    """Return the files of a design by name.
+    """Return the contents of the files of a design, by file name.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Page of a design: Pareto front, recommended sensors, their maps, limits and robustness."""
+"""HTML page of a design: Pareto front, recommended sensors, their maps, limits and robustness."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def page_of(
 
 
 def _pairs(one: Recommended, separation: float) -> str:
-    """Return a sensor's results for two presses at once; empty if they were not computed."""
+    """Return a sensor's results for two presses at once as HTML; empty if not computed."""
     if one.pairs is None:
         return ""
     detected, force = PERCENT * one.pairs.detection, PERCENT * np.median(one.pairs.force, axis=0)
@@ -87,21 +87,21 @@ def _pairs(one: Recommended, separation: float) -> str:
 
 
 def _ranges(one: Recommended) -> str:
-    """Return a table of the ranges within which properties of the sensor's parts may vary."""
+    """Return an HTML table of the ranges within which properties of a sensor's parts may vary."""
     rows = "".join(
         f"<tr><th scope=row>{escape(name)}</th><td>{low:.4g}</td><td>{high:.4g}</td></tr>"
         for name, (low, high) in one.ranges.items()
     )
     return (
-        "<h3>Parts</h3><p>One at a time, each with its own calibration; within these ranges the "
-        "error of force, with penalties where the goal is missed, grows by a tenth at most.</p>"
+        "<h3>Parts</h3><p>Each property is varied alone, with a calibration of its own. Within its "
+        "range the error of force, with penalties for a missed goal, grows by a tenth at most.</p>"
         "<table>"
         f"<tr><th>part</th><th>from</th><th>to</th></tr>{rows}</table>"
     )
 
 
 def _sensor(one: Recommended, picture: bytes, drawn: bytes, design: DesignGoal) -> str:
-    """Return a sensor's section."""
+    """Return the part of the page on one sensor, as HTML; `picture` are its maps as PNG."""
     limits = "".join(
         f"<li>{escape(name)}: {PERCENT * share:.0f} %</li>"
         for name, share in sorted(one.limits.items(), key=lambda item: -item[1])

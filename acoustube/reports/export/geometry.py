@@ -24,9 +24,9 @@ from acoustube.reports.export.press import indentation_of, mesh_of, reached, set
 from acoustube.runs.sweep import store
 
 PARTS = 8
-"""Number of triangles along the edge of an element's face."""
+"""Number of triangles along each edge of an element's face."""
 SEAM = 1e-7
-"""Largest distance of a point from the symmetry plane that it lies in, relative to the size."""
+"""Distance from a symmetry plane up to which a point counts as in it, over the surface's size."""
 TEXT = """\
 The air space of a pressed tube as closed surfaces, in mm, z along the tube, y up.
 
@@ -35,12 +35,12 @@ The air space of a pressed tube as closed surfaces, in mm, z along the tube, y u
 WHOLE = "The whole tube at the last depth, its source end at z = 0"
 PRESSED = "The pressed part of the tube, the press at z = 0; a file for each depth, see lumens.csv:"
 SWEPT = "The pressed parts of tubes, the press at z = 0; see lumens.csv for their cases:"
-STRAIGHTENED = "straightened between ends of straight tube, as acoustube scatter takes it"
-AS_IT_LIES = "as it lies, with flat ends"
+STRAIGHTENED = "straightened, with short straight ends, as acoustube scatter requires"
+AS_IT_LIES = "not straightened, with flat ends"
 
 
 def write_surfaces(run: xr.Dataset, folder: Path, suffix: str) -> str:
-    """Write the lumen of the whole tube of a simulation, or of the pressed part at each depth.
+    """Write the lumen of the whole tube (simulate), or of the pressed part at each depth (indent).
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def write_surfaces(run: xr.Dataset, folder: Path, suffix: str) -> str:
 
 
 def _write_lumens(run: xr.Dataset, folder: Path, suffix: str) -> tuple[int, str]:
-    """Write the lumen at each depth and a table of the files; return their number and kind."""
+    """Write the lumen at each depth and a table; return the number of lumens and a description."""
     rows = reached(run)
     files = [f"lumen-{number:04d}.{suffix}" for number in range(1, len(rows) + 1)]
     surfaces, what = lumens(run)
@@ -85,7 +85,7 @@ def _write_lumens(run: xr.Dataset, folder: Path, suffix: str) -> tuple[int, str]
 
 
 def write_swept(files: Sequence[Path], folder: Path, suffix: str) -> str:
-    """Write the lumens of a sweep, one for all cases that share a press.
+    """Write the lumens of a sweep: one file for all cases that share a press.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def write_swept(files: Sequence[Path], folder: Path, suffix: str) -> str:
     for path in files:
         walls = store.walls(path)
         if walls is None:
-            continue  # of an untouched tube, or written by an earlier version
+            continue  # the tube is untouched, or an earlier version wrote the file
         count += 1
         rings, file = walls["inner_wall"].values.astype(float), f"lumen-{count:04d}.{suffix}"
         _save(_surface(rings.reshape(-1, 3), ring_faces(*rings.shape[:2])), folder / file)
@@ -149,9 +149,9 @@ def lumens(run: xr.Dataset) -> tuple[list[trimesh.Trimesh], str]:
     surfaces : list of trimesh.Trimesh
         Closed, with outward normals. The lumen of a round tube is straightened along its bottom
         line, between short ends of straight tube, by :func:`acoustube.lumen.pressed_part`. That of
-        an imported wall, or of a tube bent too sharply to be straightened, is left as it lies.
+        an imported wall, or of a tube bent too sharply to be straightened, is left as deformed.
     what : str
-        Whether the lumens are straightened or left as they lie, in words.
+        Whether the lumens are straightened, in words.
 
     Raises
     ------
@@ -239,7 +239,7 @@ def _surface(points: Array, faces: Index) -> trimesh.Trimesh:
 
 
 def _save(surface: trimesh.Trimesh, path: Path) -> None:
-    """Write a surface in mm, the unit in which surfaces are read."""
+    """Write a surface, which is in m, to a file in mm, the unit in which surfaces are read."""
     points = MM * surface.vertices
     if path.suffix == ".stl":
         bare = trimesh.Trimesh(points, surface.faces, process=False)

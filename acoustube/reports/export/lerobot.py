@@ -1,6 +1,7 @@
 """Cycles as episodes for robot learning, in the layout of LeRobotDataset v3.0.
 
-A frame is one cycle. An episode is the cycles of one press in one recording session.
+A frame is one cycle: a send pulse and the recording of its echoes. An episode is the cycles of one
+press in one recording session.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ Columns = dict[str, NDArray[Any]]
 
 
 def write_episodes(data: xr.Dataset, folder: Path) -> str:
-    """Write cycles as episodes.
+    """Write cycles as the episodes of a LeRobotDataset.
 
     Parameters
     ----------
@@ -53,11 +54,10 @@ def write_episodes(data: xr.Dataset, folder: Path) -> str:
 
     Notes
     -----
-    ``observation.signal`` is the cycle as a fraction of half the ADC's full scale, -1 to 1, about
-    half that scale or, if samples are not quantised, about the sensor's offset;
-    ``observation.temperature`` is the reported temperature in degC; ``action`` are the labels
-    (:data:`ACTION`). Columns ``press``, ``tube`` and ``session`` of ``meta/episodes`` identify an
-    episode, so that episodes can be split by them.
+    ``observation.signal`` are the samples less half the ADC's full scale (less the sensor's offset
+    if they are not quantised), divided by half the full scale: -1 to 1. ``observation.temperature``
+    is the reported temperature in degC; ``action`` are the labels (:data:`ACTION`). Columns
+    ``press``, ``tube`` and ``session`` of ``meta/episodes`` identify an episode, for splits.
     """
     check_parquet("lerobot")
     table, rate = labels(data), _frames_per_second(data)
@@ -73,7 +73,7 @@ def write_episodes(data: xr.Dataset, folder: Path) -> str:
 
 
 class _Files:
-    """Context that writes the frames to Parquet files, each of whole episodes."""
+    """Context manager that writes frames to Parquet files, each with whole episodes."""
 
     def __init__(self, folder: Path, n_samples: int) -> None:
         self.folder = folder
@@ -91,7 +91,7 @@ class _Files:
                 write(self.path, self.content.getvalue())
 
     def write(self, columns: Columns) -> tuple[int, int]:
-        """Write an episode; return the numbers of its chunk and its file."""
+        """Write an episode; return the numbers of its chunk (folder) and of its file there."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -103,7 +103,7 @@ class _Files:
             self.path, self.content = self.folder / "data" / name, io.BytesIO()
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.writer = pq.ParquetWriter(self.content, frames.schema)
-        self.writer.write_table(frames)  # a row group of its own, so that it can be read alone
+        self.writer.write_table(frames)  # as one row group, which can be read alone
         self.room -= len(frames)
         return self.place
 
@@ -115,13 +115,13 @@ class _Files:
 
 
 def _frames_per_second(data: xr.Dataset) -> int:
-    """Return the rate of the cycles as an integer, which the layout requires."""
+    """Return the number of cycles per second, rounded to an integer as LeRobot requires."""
     rangefinder = json.loads(data.attrs.get("rangefinder", "{}"))
     return max(1, round(float(rangefinder.get("cycle_rate", 20.0))))
 
 
 def _middle(data: xr.Dataset) -> float:
-    """Return half the full scale in counts or, of samples not quantised, the sensor's offset."""
+    """Return half the full scale in counts, or the sensor's offset if samples are not quantised."""
     full_scale = float(data.attrs["full_scale"])
     if data["signal"].dtype.kind != "f":
         return 0.5 * full_scale
@@ -145,7 +145,7 @@ def _frames(data: xr.Dataset, table: pd.DataFrame, part: NDArray[np.int64]) -> C
 
 
 def _numbers(number: int, part: NDArray[np.int64], rate: int) -> Columns:
-    """Return the columns that count frames."""
+    """Return the times in s and the indices of an episode's frames, in the columns of LeRobot."""
     frame = np.arange(len(part))
     return {
         "timestamp": (frame / rate).astype(np.float32),
@@ -184,7 +184,7 @@ def _episode(
 
 
 class _Stats:
-    """Least, greatest, mean and standard deviation of each feature, gathered part by part."""
+    """Minimum, maximum, mean and standard deviation of each column, accumulated over episodes."""
 
     def __init__(self) -> None:
         self.known: dict[str, list[Any]] = {}
@@ -199,7 +199,7 @@ class _Stats:
             self.known.setdefault(name, []).append(part)
 
     def in_json(self) -> dict[str, Any]:
-        """Return the statistics as the layout's ``stats.json``."""
+        """Return the statistics as the content of ``meta/stats.json``."""
         found = {}
         for name, parts in self.known.items():
             lows, highs, totals, squares = (np.array(part) for part in zip(*parts, strict=True))
@@ -214,7 +214,7 @@ class _Stats:
 
 
 def _features(n: int) -> dict[str, Any]:
-    """Return the type, shape and names of each column of the dataset."""
+    """Return the type, shape and names of each column, for cycles of n samples."""
     found: dict[str, Any] = {
         "observation.signal": {"dtype": "float32", "shape": [n], "names": None},
         "observation.temperature": {"dtype": "float32", "shape": [1], "names": None},

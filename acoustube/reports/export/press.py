@@ -1,4 +1,4 @@
-"""Press read back from ``run.nc``."""
+"""Mesh and results of a press, read back from ``run.nc``."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ NAMES = {
     "iterations": "newton_iterations", "residual": "newton_residual",
     "press_force": "contact_force", "energy": "elastic_energy",
 }  # fmt: skip
-"""Names of a run's variables, by the attribute of :class:`Indentation` where that differs."""
+"""Names of a run's variables by attribute of :class:`Indentation`, where the names differ."""
 COINCIDENT_DISTANCE = 1e-9
-"""Largest distance in m between coincident nodes."""
+"""Distance in m up to which nodes of two meshes coincide, or a node is in a symmetry plane."""
 
 
 def settings_of(run: xr.Dataset) -> Mechanics:
@@ -39,7 +39,7 @@ def reached(run: xr.Dataset) -> NDArray[np.int64]:
 
 
 def mesh_of(run: xr.Dataset) -> Mesh:
-    """Return the finite-element mesh of a run; its attribute `sweep` is None even for a round tube.
+    """Return the finite-element mesh of a run, without its size-independent coordinates `sweep`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Cycles as sound files, and a table of their labels."""
+"""Cycles of a rangefinder as sound files, and a table of their labels."""
 
 from __future__ import annotations
 
@@ -84,6 +84,6 @@ def labels(data: xr.Dataset) -> pd.DataFrame:
 
 
 def episodes(table: pd.DataFrame) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """Return the indices of the cycles at which another press or session begins, with 0."""
+    """Return the index of the first cycle of each episode: cycles of one press and session."""
     names = (table["press"] + "/" + table["session"]).to_numpy()
     return np.flatnonzero(np.concatenate([[True], names[1:] != names[:-1]]))

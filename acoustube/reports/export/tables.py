@@ -1,4 +1,4 @@
-"""CSV tables of results: one for each dimension, as cycle or time, and one of their columns."""
+"""CSV tables of results: one for each dimension, such as time, and one that lists all columns."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from acoustube.base.writing import write
 TABLES = {
     "press": "cases", "cycle": "cycles", "depth": "press", "time": "signal", "z": "profile",
 }  # fmt: skip
-"""Names of the tables, by the dimension of their rows."""
+"""Names of the tables, by the dimension along which their rows run."""
 EXPANDED = ("source_end",)
-"""Short dimensions: a variable has a column for each of their entries."""
+"""Dimensions that do not run along rows: a variable has a column for each of their values."""
 LEFT_OUT = ("configuration",)
 COEFFICIENTS = ["s_real", "s_imag", "settled", "error"]
 """Variables of a scattering matrix that are columns of its table, if present."""
 
 
 def write_tables(data: xr.Dataset, folder: Path) -> str:
-    """Write a table for each dimension of :data:`TABLES`, with the variables along it alone.
+    """Write a table for each dimension of :data:`TABLES`, of the variables with no other dimension.
 
-    Variables may have a dimension of :data:`EXPANDED` too. A scattering matrix has one table, with
-    a row for each of its coefficients. ``columns.csv`` gives unit and meaning of each column.
+    A dimension of :data:`EXPANDED` does not count as another one. A scattering matrix has one
+    table, with a row for each coefficient. ``columns.csv`` gives unit and meaning of each column.
 
     Parameters
     ----------

@@ -28,16 +28,16 @@ VTK_HEXAHEDRON = (
     *((1, 0, 0), (2, 1, 0), (1, 2, 0), (0, 1, 0), (1, 0, 2), (2, 1, 2), (1, 2, 2), (0, 1, 2)),
     *((0, 0, 1), (2, 0, 1), (2, 2, 1), (0, 2, 1)),
 )
-"""Local coordinates (-1 to 1) plus one of the nodes of VTK's quadratic hexahedron, in its order."""
+"""Nodes of VTK's quadratic hexahedron in its order: local coordinates (-1 to 1) plus 1."""
 VTK_TETRAHEDRON = (0, 1, 2, 3, 4, 7, 5, 6, 8, 9)
-"""Our node numbers of a tetrahedron in VTK's order.
+"""Node numbers in acoustube of a tetrahedron's nodes in VTK's order.
 
-VTK numbers the mid-edge nodes by edges 01, 12, 02, 03, 13, 23; we by 01, 02, 03, 12, 13, 23.
+Mid-edge nodes are ordered by edges 01, 12, 02, 03, 13, 23 in VTK; here 01, 02, 03, 12, 13, 23.
 """
 
 
 def write(mesh: Mesh, depths: Array, displacements: Array, folder: Path) -> Path:
-    """Write the modelled part, one file per depth, and a collection that ParaView plays.
+    """Write mesh and displacements, one file per depth, and a collection of these for ParaView.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def write(mesh: Mesh, depths: Array, displacements: Array, folder: Path) -> Path
 
 
 def in_xml(shape: vtkPointSet) -> str:
-    """Return the content of a VTU or VTP file; VTK's own writer does not survive a full disk."""
+    """Return the content of a VTU or VTP file; VTK does not write it: it fails on a full disk."""
     of_grid = isinstance(shape, vtkUnstructuredGrid)
     writer = vtkXMLUnstructuredGridWriter() if of_grid else vtkXMLPolyDataWriter()
     writer.SetInputData(shape)
@@ -89,7 +89,7 @@ def in_xml(shape: vtkPointSet) -> str:
 def _grid(mesh: Mesh) -> vtkUnstructuredGrid:
     """Return the undeformed mesh with quadratic cells.
 
-    Made with VTK alone, since PyVista takes longer to import than the files to be written.
+    It is made with VTK alone, since importing PyVista takes longer than writing the files.
     """
     kind = VTK_QUADRATIC_HEXAHEDRON if mesh.reference is HEX20 else VTK_QUADRATIC_TETRA
     points, cells, grid = vtkPoints(), vtkCellArray(), vtkUnstructuredGrid()
@@ -102,7 +102,7 @@ def _grid(mesh: Mesh) -> vtkUnstructuredGrid:
 
 
 def _order(reference: Reference) -> NDArray[np.int64]:
-    """Return the node numbers of an element in VTK's order."""
+    """Return the local node numbers of an element, in VTK's order."""
     if reference is not HEX20:
         return np.array(VTK_TETRAHEDRON)
     ours = [tuple(node) for node in (reference.nodes + 1).astype(int)]

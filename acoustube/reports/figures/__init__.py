@@ -1,5 +1,5 @@
-"""Figures by matplotlib, returned as they are drawn: not shown and not saved.
+"""Figures by matplotlib, which are returned: they are neither shown nor saved.
 
-`run` (one press), `sweep`, `cycles` (recordings, calibrations), `estimates` (over the truth),
+`run` (one press), `sweep`, `cycles` (recordings, calibrations), `estimates` (against true values),
 `posterior` (an inversion) and `twin`.
 """

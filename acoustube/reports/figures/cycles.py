@@ -14,7 +14,7 @@ from acoustube.reports.figures.run import ENVELOPE, PRESS, RETURN, SEND, SIGNAL,
 from acoustube.signals import Calibration, Processing, Ranging, distance, rectify, remove_offset
 
 MOST_ROWS = 1000
-"""Largest number of rows of a waterfall; of more cycles, evenly spaced ones are drawn."""
+"""Largest number of cycles in a waterfall plot; of more cycles, evenly spaced ones are drawn."""
 
 
 def draw_cycle(
@@ -59,7 +59,7 @@ def draw_cycle(
 def draw_waterfall(
     axes: Axes, time: ArrayLike, envelopes: ArrayLike, send_time: float, temperature: float
 ) -> None:
-    """Draw envelopes as an image over distance and cycle, in dB of the send pulse.
+    """Draw envelopes as an image over distance and cycle, in dB relative to the send pulse.
 
     Parameters
     ----------
@@ -81,12 +81,12 @@ def draw_waterfall(
         level, aspect="auto", origin="lower", cmap="viridis", vmin=-60, vmax=0,
         interpolation="nearest", extent=(place[0], place[-1], -0.5, len(envelopes) - 0.5),
     )  # fmt: skip
-    axes.figure.colorbar(image, ax=axes, label="dB of the send pulse")
+    axes.figure.colorbar(image, ax=axes, label="dB relative to the send pulse")
     axes.set(xlabel="distance (cm)", ylabel="cycle")
 
 
 def calibration_figure(calibration: Calibration) -> Figure:
-    """Draw a calibration as the sleeve paper's Fig. 3: amplitudes, gain and line of distances."""
+    """Draw a calibration as in the sleeve paper's Fig. 3: amplitudes, distances and their fits."""
     sheet = Figure(figsize=(10, 4.2), layout="constrained")
     left, right = sheet.subplots(1, 2)
     draw_fall(left, calibration)
@@ -95,7 +95,7 @@ def calibration_figure(calibration: Calibration) -> Figure:
 
 
 def draw_fall(axes: Axes, calibration: Calibration) -> None:
-    """Draw the echo amplitudes of closures over distance, the arctan fit and the gain's tanh."""
+    """Draw echo amplitudes of the closed tube by distance, their arctan fit and the gain's tanh."""
     places = calibration.true_distance
     along = np.linspace(0, 1.1 * places.max(), 300)
     axes.plot(CM * places, calibration.amplitude, ".", color=SIGNAL, label="closures")
@@ -116,7 +116,7 @@ def draw_fall(axes: Axes, calibration: Calibration) -> None:
 
 
 def draw_line(axes: Axes, calibration: Calibration) -> None:
-    """Draw estimated over true distance of closures, and the line fitted to them."""
+    """Draw estimated over true distance of closures of the tube, and the line fitted to them."""
     places = calibration.true_distance
     slope, deviation = calibration.slope
     axes.plot(CM * places, CM * calibration.estimated_distance, ".", color=SIGNAL)

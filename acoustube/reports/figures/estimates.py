@@ -1,4 +1,4 @@
-"""Figures of estimates against the truth."""
+"""Figures of estimates against true values."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ from acoustube.runs.training import BINS, DISPLAY_UNITS
 MOST_POINTS = 5000
 """Largest number of points of a panel: of more cycles, every n-th is drawn."""
 AGAINST = "true_distance", "depth"
-"""Labels over whose bins absolute errors are drawn."""
+"""True quantities over which absolute errors are drawn, in bins."""
 
 
 def figure(table: xr.Dataset, estimates: xr.Dataset) -> Figure:
-    """Draw, for each target in a row, estimate against truth, and error over distance and depth.
+    """Draw a row of panels per target: estimates over true values, errors by distance and depth.
 
     Parameters
     ----------
     table, estimates : xarray.Dataset
-        From :func:`acoustube.estimation.feature_table` and :func:`acoustube.estimation.estimate`.
+        Features with labels, from :func:`acoustube.estimation.feature_table`, and estimates, from
+        :func:`acoustube.estimation.estimate`.
     """
     targets = [t for t, name in TARGETS.items() if t in table and name in estimates]
     against = [label for label in AGAINST if label in table]
@@ -39,7 +40,7 @@ def figure(table: xr.Dataset, estimates: xr.Dataset) -> Figure:
 
 
 def draw_estimates(axes: Axes, table: xr.Dataset, estimates: xr.Dataset, target: str) -> None:
-    """Draw estimates of a target, with their stated standard deviations, against the truth."""
+    """Draw estimates of a target, with their standard deviations, against true values."""
     words = _axis(target)
     truth, estimate, deviation = _scaled(table, estimates, target)
     known = np.flatnonzero(np.isfinite(truth) & np.isfinite(estimate))
@@ -58,7 +59,7 @@ def draw_estimates(axes: Axes, table: xr.Dataset, estimates: xr.Dataset, target:
 def draw_errors(
     axes: Axes, table: xr.Dataset, estimates: xr.Dataset, target: str, label: str
 ) -> None:
-    """Draw median and quartiles of the absolute error, and the stated deviation, over a label."""
+    """Draw median and quartiles of absolute errors, and the stated standard deviation, by label."""
     truth, estimate, deviation = _scaled(table, estimates, target)
     edges, index = bins(table[label].values, BINS[label])
     error = np.where(np.isfinite(truth - estimate), np.abs(truth - estimate), np.nan)
@@ -71,7 +72,7 @@ def draw_errors(
     axes.fill_between(at, quartiles[0], quartiles[2], color=ENVELOPE, alpha=0.2, lw=0,
                       label="quartiles")  # fmt: skip
     axes.plot(at, quartiles[1], color=ENVELOPE, lw=1.2, label="median")
-    axes.plot(at, stated, color=RETURN, lw=1, ls="--", label="stated deviation")
+    axes.plot(at, stated, color=RETURN, lw=1, ls="--", label="stated standard deviation")
     axes.set(ylim=(0, None), xlabel=f"true {_axis(label)}")
     axes.set_ylabel(f"absolute error, {_axis(target)}")
     axes.legend(fontsize="small")

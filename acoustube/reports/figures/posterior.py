@@ -19,7 +19,7 @@ from acoustube.reports.figures.run import ENVELOPE, PRESS, RETURN
 from acoustube.runs.two_ends import EndsContacts
 
 SPAN = 4.0
-"""Half the width of a panel in standard deviations."""
+"""Half the width of a panel with a contact's posterior, in its standard deviations."""
 POINTS = 400
 
 
@@ -59,12 +59,12 @@ def posterior_figure(found: EndsContacts, library: Library) -> Figure:
 def _draw_echo(
     axes: Axes, end: Inversion, place: Array, contacts: Sequence[Contact], of_end: str
 ) -> None:
-    """Draw the echo that an end receives, over `place`: distances in m from the near face."""
+    """Draw the echo that an end receives over `place`, distances in m from the near transducer."""
     at = CM * place
     axes.semilogy(at, np.abs(end.measured), color=ENVELOPE, lw=1.2, label="recorded")
-    axes.semilogy(at, np.abs(end.explained), color=PRESS, lw=1.0, ls="--", label="explained")
+    axes.semilogy(at, np.abs(end.explained), color=PRESS, lw=1.0, ls="--", label="modelled")
     rest = np.abs(end.measured - end.explained)
-    axes.semilogy(at, rest, color="0.6", lw=0.8, label="not explained")
+    axes.semilogy(at, rest, color="0.6", lw=0.8, label="residual")
     floor = float(np.median(rest))
     axes.set_ylim(0.3 * floor, 2 * float(np.abs(end.measured).max()))
     for contact in contacts:

@@ -53,7 +53,7 @@ def figure(dataset: xr.Dataset, images: Mapping[str, Image] | None = None) -> Fi
 
 
 def draw_close_up(axes: Axes, dataset: xr.Dataset, images: Mapping[str, Image] | None) -> None:
-    """Show the pressed part in true proportions, with force and section in the title."""
+    """Show the pressed part in true proportions, with force and size of the lumen in the title."""
     axes.set_axis_off()
     last = dataset.isel(depth=-1)
     axes.set_title(
@@ -70,7 +70,7 @@ def draw_close_up(axes: Axes, dataset: xr.Dataset, images: Mapping[str, Image] |
 
 
 def draw_strip(axes: Axes, dataset: xr.Dataset, images: Mapping[str, Image] | None) -> None:
-    """Show the whole tube, opened along its length, on a true axis of distance."""
+    """Show the whole tube, cut open along its length, to scale along the axis of distance."""
     axes.set_yticks([])
     axes.spines[["left", "right", "top"]].set_visible(False)
     axes.set_ylabel(f"tube\n(section x {STRIP_MAGNIFICATION:g})")
@@ -111,7 +111,7 @@ def draw_signal(axes: Axes, dataset: xr.Dataset) -> None:
 
 
 def label_amplitude(axes: Axes) -> None:
-    """Label the ordinate, fractions of the send pulse, in %."""
+    """Label the ordinate in % of the send pulse; its values are fractions."""
     axes.set_ylabel("% of the send pulse")
     axes.yaxis.set_major_formatter(percent())
 
@@ -224,7 +224,7 @@ def draw_profiles(axes: Axes, dataset: xr.Dataset) -> None:
 
 
 def _top(*curves: Any) -> float:
-    """Return the upper limit of an axis for curves; 1 if all are nan, as after an early stop."""
+    """Return the upper limit of the axis of ordinates for curves; 1 if all values are nan."""
     highest = np.max([np.max(curve, initial=0.0, where=np.isfinite(curve)) for curve in curves])
     return 1.15 * float(highest) or 1.0
 

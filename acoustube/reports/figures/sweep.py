@@ -16,21 +16,21 @@ from acoustube.reports.figures.run import percent
 from acoustube.runs.sweep.select import by_tool, chosen, envelope_of, usual
 
 MOST_TOOLS = 4
-"""Largest number of indenters whose echoes are drawn."""
+"""Largest number of indenters whose envelopes are drawn."""
 FAINTEST = 1e-3
-"""Lower end of the scale of echoes, as a fraction of the send pulse."""
+"""Lower end of the colour scale of envelopes, as a fraction of the send pulse."""
 ROW = 1.0
-"""Height in mm of the row of echoes of an indenter with a single depth."""
+"""Height in mm, on the axis of depth, of the envelope of an indenter with a single depth."""
 
 
 def figure(cases: xr.Dataset) -> Figure:
-    """Draw force, echo and error over depth for each indenter, and the echoes themselves.
+    """Draw force, highest echo and distance error over depth by indenter, and the envelopes.
 
     Parameters
     ----------
     cases : xarray.Dataset
         Cases of a sweep, from :func:`acoustube.open_dataset`. If other settings vary too, the
-        echoes are those of the most frequent combination, and the curves are medians with the
+        envelopes are those of the most frequent combination, and the curves are medians with the
         range of all cases.
     """
     cases = chosen(cases)
@@ -79,14 +79,14 @@ def draw_over_depth(axes: Axes, cases: xr.Dataset, name: str, scale: float, labe
 
 
 def draw_echoes(axes: Axes, cases: xr.Dataset) -> QuadMesh:
-    """Draw the envelopes of one indenter's echoes over distance and depth; return the image."""
+    """Draw the envelopes of one indenter's cases over distance and depth; return the image."""
     cases = cases.sortby("depth")
     rows = [envelope_of(cases.isel(press=i)) for i in range(cases.sizes["press"])]
     place = rows[0][0]
     levels = np.maximum([np.interp(place, *row) for row in rows], FAINTEST)
     top = float(cases["tube_length"].values[0])
     depth = heights = MM * cases["depth"].values
-    if len(depth) == 1:  # rows extend halfway to their neighbours: a row alone would have no height
+    if len(depth) == 1:  # pcolormesh takes the height of a row from its neighbours
         heights, levels = depth + ROW * np.array([-0.25, 0.25]), np.repeat(levels, 2, axis=0)
     image = axes.pcolormesh(
         CM * place, heights, levels, norm=LogNorm(FAINTEST, 1.0), cmap="viridis", shading="nearest"

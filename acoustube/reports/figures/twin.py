@@ -12,7 +12,7 @@ from acoustube.reports.figures.run import ENVELOPE, RETURN
 from acoustube.runs.twin import FittedSensor
 
 AROUND = (-0.2e-3, 1.6e-3)
-"""Ends in s of the drawn interval about the arrival of an echo."""
+"""Start and end in s of the drawn interval, relative to the arrival of an echo."""
 
 
 def twin_figure(found: FittedSensor) -> Figure:
@@ -52,7 +52,7 @@ def _draw_closure(axes: Axes, found: FittedSensor, i: int, legend: bool) -> None
         fontsize=9,
     )
     axes.set_xlabel("time (ms)")
-    axes.set_ylabel("counts, in the band")
+    axes.set_ylabel("signal in the band (counts)")
     if legend:
         axes.legend(fontsize=8)
 
@@ -85,7 +85,7 @@ def _draw_errors(axes: Axes, found: FittedSensor) -> None:
     axes.axhspan(-MM * posterior.placement, MM * posterior.placement, color=ENVELOPE, alpha=0.15)
     axes.axhline(0.0, color="0.6", lw=0.7)
     axes.set(xlabel="stated distance (cm)", ylabel="true minus stated (mm)")
-    axes.set_title("errors of the closures' places, 90 %", fontsize=9)
+    axes.set_title("errors of the closures' places, 90 % intervals", fontsize=9)
 
 
 def _draw_levels(axes: Axes, found: FittedSensor) -> None:
@@ -100,5 +100,5 @@ def _draw_levels(axes: Axes, found: FittedSensor) -> None:
         label="simulated",
     )  # fmt: skip
     axes.set(xlabel="stated distance (cm)", ylabel="peak of the echo (counts)")
-    axes.set_title("levels of the closures", fontsize=9)
+    axes.set_title("echo levels of the closures", fontsize=9)
     axes.legend(fontsize=8)

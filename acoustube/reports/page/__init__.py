@@ -1,7 +1,7 @@
 """Results as one HTML file that opens from disk, without a network.
 
-Read `content` (the states of presses), `runs` and `cases` (from files), `shapes` and `solid`
-(surfaces), `encoded` (JSON) and `write`.
+Reading order: `content` (states of a pressed tube), `runs` and `cases` (from files), `shapes` and
+`solid` (surfaces), `encoded` (JSON) and `write`.
 """
 
 from acoustube.reports.page.write import read

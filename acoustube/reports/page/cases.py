@@ -1,4 +1,4 @@
-"""Content of the page of a sweep."""
+"""Content of the HTML page of a sweep, read from its folder."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from acoustube.waves.network import at_sound_speed
 from acoustube.waves.spectral import SpectralScattering
 
 ADVICE = "repeat the command acoustube sweep to recompute it"
-"""What to do about a damaged file."""
+"""Advice in the error message on a damaged file."""
 MOST_CASES = 400
 """Largest number of cases of a page; beyond it, some positions are omitted."""
 UNTOUCHED_REACH = 0.08
@@ -64,8 +64,8 @@ def read_sweep(folder: Path) -> Content:
     Returns
     -------
     Content
-        A group for each tool, position and combination of other settings. If there are more than
-        `MOST_CASES` cases, only those at some of the positions: every second or third, say.
+        A group for each indenter, position and combination of other settings. If there are more
+        than `MOST_CASES` cases, positions are omitted evenly along the tube.
 
     Raises
     ------
@@ -95,11 +95,11 @@ def read_sweep(folder: Path) -> Content:
 
 
 def _cases(folder: Path) -> Iterator[Found]:
-    """Yield each case once."""
+    """Yield each case of a sweep's folder once."""
     seen: set[str] = set()
     for path in sorted(folder.glob(PATTERNS["press"])):
         check_result(path, ADVICE)
-        # Not by xarray, which takes a tenth of a second per file.
+        # Read with h5py, since xarray takes a tenth of a second per file.
         with h5py.File(path) as file:
             names, settings = (file[name].asstr()[:] for name in ("press", "configuration"))
         for name, text in zip(names, settings, strict=True):
@@ -134,7 +134,7 @@ def _key(config: Config) -> Key:
 def limited(groups: dict[Key, list[Found]]) -> tuple[dict[Key, list[Found]], list[str]]:
     """Return groups with at most `MOST_CASES` cases at evenly chosen positions, and a note.
 
-    ConfigError if there are more cases at one position. There is no note if no case is left out.
+    Raise ConfigError if one position alone has more cases. Without omitted cases, no note is given.
     """
     places = sorted({place for _, place, _ in groups})
     count = sum(map(len, groups.values()))
@@ -210,7 +210,7 @@ def _untouched(settings: SISettings) -> tuple[Shape, Along, float]:
 
 
 def _dense(radius: float) -> Any:
-    """Return closely spaced points (n, 3) of a straight tube's outer wall near the press."""
+    """Return closely spaced points (n, 3) on top of a straight tube of given radius, near z = 0."""
     angle, z = np.meshgrid(np.linspace(0, np.pi, 181), np.linspace(-2, 2, 41) * radius)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=-1).reshape(-1, 3)
 
@@ -240,7 +240,7 @@ def _signal(case: xr.Dataset) -> Signal:
 
 
 def _spectrum(matrix: xr.Dataset, settings: SISettings) -> Spectrum:
-    """Return the plane wave's reflection at port 1, in the air of the case."""
+    """Return the plane wave's reflection coefficient at port 1, the end at low z, by frequency."""
     found = at_sound_speed(from_dataset(matrix), settings.air.sound_speed)
     plane = found.modes.index("00")
     higher = zip(found.modes, found.cut_ons, strict=True)

@@ -1,4 +1,4 @@
-"""Content of a page: states of a press, one per depth, in groups of one indenter at one place."""
+"""Content of an HTML page: states of a tube by depth, grouped by indenter and position."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from acoustube.reports.page.shapes import Shape, Tool
 from acoustube.runs.config import Config, Mechanics
 
 SAMPLES = 4000
-"""Approximate number of drawn samples of a signal."""
+"""Largest number of samples of a signal that are drawn, approximately."""
 PRESSED = "A soft tube is pressed."
 PULSED = (
     "Sound is sent into a soft tube. Where the tube is pressed its lumen narrows, and an echo "
@@ -30,7 +30,7 @@ class Along:
     Attributes
     ----------
     z, area : array of shape (n,)
-        Distance from the press in m; cross-section in m2.
+        Axial position relative to the press in m, and cross-section of the lumen in m2.
     """
 
     z: Array
@@ -39,23 +39,24 @@ class Along:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Signal:
-    """Signal of a press at the probe; distances from the source end in m.
+    """Pressure at the probe and its envelope, over distance from the source end in m.
 
     Attributes
     ----------
     distance, pressure : array of shape (n,)
-        Pressure as a fraction of its maximum, that of the send pulse.
+        Distance that corresponds to the delay, and pressure as a fraction of its largest magnitude.
     envelope_distance, envelope : array of shape (m,)
-        Envelope as a fraction of the send pulse.
+        Distance, and envelope as a fraction of its maximum in the send pulse.
     peak_distance, peak : array of shape (k,)
-        Distances and heights of all peaks of the envelope.
+        Distances of all peaks of the envelope, and their heights in the unit of the envelope.
     estimate, amplitude : float
         Distance and height of the highest echo; nan where there is none.
     probe : float
         Position of the probe.
     source_end : str
+        ``release`` or ``absorbing``.
     height : float
-        Largest magnitude of pressure and envelope after the send pulse, as such fractions.
+        Largest magnitude of `pressure` and `envelope` after the send pulse has decayed.
     """
 
     distance: Array
@@ -102,11 +103,11 @@ class State:
     Attributes
     ----------
     depth, force, height, width, area : float
-        Depth and force of the press, and sizes of the lumen under it.
+        Indentation depth and contact force, and size of the lumen under the indenter.
     shape : Shape or None
-        Pressed tube; None if it is unknown.
+        Surfaces of the pressed tube; None if unknown.
     tool_height : float
-        Height of the indenter's lowest point, a coordinate y as in `shape`; nan if unknown.
+        Coordinate y of the indenter's lowest point, as in `shape`; nan if unknown.
     along : Along or None
     signal : Signal or None
     spectrum : Spectrum or None
@@ -141,7 +142,7 @@ class Group:
     bore_area, outer_diameter : float
         Cross-section of the bore in m2, and outer diameter of the tube in m.
     floor : float
-        Height of the floor in m; nan without a rigid one.
+        Coordinate y of the rigid floor in m; nan without one.
     """
 
     tool: str
@@ -168,7 +169,7 @@ class Content:
     settings : mapping
         Settings that all groups share, by section.
     origin : mapping of str to str
-        Origin of the data.
+        Origin of the data, such as version and device, by name.
     notes : sequence of str
         Notes on the data, a sentence each.
     missing : mapping of str to str
@@ -185,7 +186,7 @@ class Content:
 
 
 def tool_in_words(config: Config | Mechanics) -> str:
-    """Return the indenter in words."""
+    """Return the indenter's shape, diameter, yaw and offset as text."""
     press = config.indentation
     turned = f", turned by {press.yaw_deg:g}°" if press.yaw_deg else ""
     beside = f", {press.offset_mm:g} mm beside the axis" if press.offset_mm else ""

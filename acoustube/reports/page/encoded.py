@@ -1,4 +1,4 @@
-"""A page's content as JSON: each array once, in base64, in display units."""
+"""Content of a page as JSON, in display units; each array is stored once, in base64."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from acoustube.reports.page.content import Content, Group, Signal, Spectrum, Sta
 from acoustube.reports.scenes import tube as tube_scene
 
 FINEST = 32767
-"""Number of steps of a quantised coordinate to each side of zero."""
+"""Number of steps of a quantised coordinate to each side of zero: a 16-bit integer."""
 
 COLOURS = {
     "wall": tube_scene.WALL, "lumen": tube_scene.LUMEN, "cut": tube_scene.SECTION,
@@ -25,7 +25,7 @@ COLOURS = {
     "signal": run_figure.SIGNAL, "envelope": run_figure.ENVELOPE, "send": run_figure.SEND,
     "echo": run_figure.RETURN, "press": run_figure.PRESS,
 }  # fmt: skip
-"""Colours, as in the figures."""
+"""Colours of the parts of a page: those of the figures."""
 
 
 class Arrays:
@@ -74,7 +74,7 @@ class Arrays:
 
 
 def encoded(content: Content) -> str:
-    """Return a page's content as JSON, escaped for a script element."""
+    """Return a page's content as JSON, escaped for an HTML script element."""
     arrays = Arrays()
     page = {
         "title": content.title,

@@ -1,4 +1,4 @@
-"""Content of the page of a run of ``acoustube simulate`` or ``acoustube indent``."""
+"""Content of the HTML page of a run of ``acoustube simulate`` or ``acoustube indent``."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from acoustube.runs.config.si import press_in_si, settings_in_si
 
 RUN = "run.nc"
 REACH = 4.0
-"""Length to each side of the press, in outer diameters of the tube, over which the lumen of an
-increment is measured. Walls at the last depth are drawn over twice this length."""
+"""Length to each side of the press, in outer diameters of the tube, over which the lumen is
+measured at each depth but the last. Walls at the last depth are drawn over twice this length."""
 PLACES = 201
-"""Number of positions along the tube at which the lumen of an increment is measured."""
+"""Number of positions along the tube at which the lumen is measured at each depth but the last."""
 
 
 def folder_of(where: str | Path) -> Path:
@@ -122,7 +122,7 @@ def _rows(data: xr.Dataset) -> list[int]:
 
 
 def _indented(data: xr.Dataset, config: Mechanics) -> Group:
-    """Return the states of a press alone."""
+    """Return the group of a run of ``indent``: a state for each depth, without sound."""
     solid, press = _solid(data), press_in_si(config).indenter
     z = data["z"].values
     states = []
@@ -137,7 +137,7 @@ def _indented(data: xr.Dataset, config: Mechanics) -> Group:
 
 
 def _simulated(data: xr.Dataset, config: Config) -> Group:
-    """Return the states along the load path; the last one has a signal."""
+    """Return the group of a run of ``simulate``: a state for each depth, the last with a signal."""
     solid, press = _solid(data), press_in_si(config).indenter
     rows, position = _rows(data), float(data["true_distance"])
     outer_diameter = float(np.ptp(solid.nodes[:, 1]))

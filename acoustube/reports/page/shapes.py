@@ -12,22 +12,22 @@ from acoustube.lumen.thinning import decimate_rings
 
 OUTLINE_POINTS = 81
 TOOL_RESOLUTION = 72
-"""Facets around an indenter."""
+"""Number of facets around half an indenter, and of points along the profile of a sphere."""
 TOOL_LENGTH, TOOL_HEIGHT = 1.6, 0.95
 """Drawn length of a rod, and drawn height of an indenter, in outer diameters of the tube."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A pressed tube, cut open at x = 0; the press at z = 0.
+    """Surfaces of a pressed tube, cut open at x = 0, with the press at z = 0.
 
     Attributes
     ----------
     points : array of shape (n, 3)
         Points of the surfaces in m.
     faces : dict of arrays of shape (m, 3)
-        Triangles of the ``inner`` and the ``outer`` wall and of the ``cut`` between them, where
-        x >= 0: seen from the open side, z runs to the right.
+        Triangles of the ``inner`` and the ``outer`` wall and of the ``cut`` between them, all at
+        x >= 0. Seen from the open side, z runs to the right.
     inner, outer : array of shape (k, 2)
         Closed outlines (x, y) of the section at the press, in m.
     """
@@ -40,7 +40,7 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Tool:
-    """An indenter, its lowest point at the origin.
+    """Surface of an indenter, with its lowest point at y = z = 0.
 
     Attributes
     ----------
@@ -67,13 +67,13 @@ def from_rings(inner: Array, outer: Array) -> Shape:
     Returns
     -------
     Shape
-        With no more rings and points than :func:`acoustube.lumen.thinning.decimate_rings` leaves.
+        Its points are those that :func:`acoustube.lumen.thinning.decimate_rings` keeps.
     """
     here = int(np.argmin(np.abs(inner[:, 0, 2])))
     sections = [_closed(wall[here, :, :2]) for wall in (inner, outer)]
     inner, outer = decimate_rings(inner, outer)
     middle = inner.shape[1] // 2
-    # Rings run up on the side x > 0.
+    # The first half of a ring runs from bottom to top on the side x > 0.
     halves = [wall[:, : middle + 1] for wall in (inner, outer)]
     n = halves[0][..., 0].size
     number = np.arange(2 * n).reshape(2, *halves[0].shape[:2])
@@ -91,7 +91,7 @@ def from_rings(inner: Array, outer: Array) -> Shape:
 
 
 def round_tube(bore: float, wall: float, reach: float) -> Shape:
-    """Return the shape of an untouched tube, `reach` to each side; all in m."""
+    """Return the shape of an untouched tube from z = -reach to reach; all lengths in m."""
     angle = np.linspace(0, 2 * np.pi, 120, endpoint=False)
     z = np.linspace(-reach, reach, 3)
     circle = np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
@@ -105,7 +105,7 @@ def round_tube(bore: float, wall: float, reach: float) -> Shape:
 
 
 def strip(number: Index) -> Index:
-    """Return the triangles of a sheet of points, given the grid (n, m) of their indices."""
+    """Return the triangles (k, 3) of a grid of points, given the indices of its points, (n, m)."""
     a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
     return np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, b, d), (a, d, c))])
 
@@ -181,7 +181,8 @@ def tool(press: Indenter, tube_diameter: float) -> Tool:
 def _rod(radius: float, yaw: float, top: float, reach: float) -> list[Array]:
     """Return the surfaces of a horizontal cylinder that is cut off at height `top`.
 
-    They are the half x >= 0 of its side, the flat top, the section at x = 0, and the end.
+    They are the half x >= 0 of its side, the flat top, the section at x = 0, and the end face, each
+    a grid of points (n, m, 3) in m.
     """
     half = np.arccos(1 - top / radius)
     turn = np.linspace(-half, half, 2 * TOOL_RESOLUTION)
@@ -193,9 +194,9 @@ def _rod(radius: float, yaw: float, top: float, reach: float) -> list[Array]:
         return np.stack([x, y, z], axis=-1)
 
     start = across * np.tan(yaw)
-    # A thick rod turned by a large angle is longer, or the cut would be beyond its end.
+    # A thick rod at a large angle is drawn longer; otherwise the cut would be beyond its end.
     cut, end = at(start), at(np.full_like(across, max(reach, 1.2 * start.max())))
-    # The flat top is a sheet of its own, so that its edges are sharp.
+    # The flat top is a grid of its own, so that its edges are sharp.
     return [np.stack([cut, end])[:, :-1], np.stack([cut, end])[:, -2:], _cap(cut), _cap(end)]
 
 
@@ -216,7 +217,9 @@ def _punch_side(press: Indenter, top: float) -> tuple[Array, Array]:
 
 
 def _turned(radius: Array, y: Array, x: float) -> list[Array]:
-    """Return the sheets of the half x >= 0 of a body of revolution: side, cut at x = 0, and top.
+    """Return the half x >= 0 of a body of revolution: side, cut at x = 0, and top.
+
+    Each is a grid of points (n, m, 3) in m.
 
     Parameters
     ----------
@@ -238,5 +241,5 @@ def _turned(radius: Array, y: Array, x: float) -> list[Array]:
 
 
 def _cap(rim: Array) -> Array:
-    """Return the sheet that fills a convex rim (n, 3)."""
+    """Return the surface inside a convex rim (n, 3), as a grid (2, n, 3) of rim and mean point."""
     return np.stack([rim, np.broadcast_to(rim.mean(axis=0), rim.shape)])

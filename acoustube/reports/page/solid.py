@@ -1,4 +1,4 @@
-"""Surfaces of the finite-element mesh of a tube's wall that a run's file holds."""
+"""Surfaces of the finite-element mesh of a tube's wall, for a page."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from acoustube.lumen import TRIANGLES_PER_EDGE, profile
 from acoustube.reports.page.shapes import Shape
 
 PLANE_TOLERANCE = 1e-6
-"""Largest distance of a node from a plane in which it lies, relative to the mesh's length."""
+"""Distance from a plane up to which a node counts as in it, relative to the mesh's length."""
 FACE_SUBDIVISIONS = 3
-"""Number of triangle edges along the edge of an element's face, as it is drawn."""
+"""Number of drawn triangles along each edge of an element's face."""
 SECTION_OFFSET = 1e-7
 """Axial position in m of the section at the press; not zero, since nodes lie exactly in z = 0."""
 
@@ -33,7 +33,7 @@ class Solid:
     nodes : array of shape (n_nodes, 3)
         Nodes of the modelled part in m: the whole tube, or the part with x >= 0, z >= 0 or both.
     elements : array of shape (n_elements, 20 or 10)
-        Hexahedra or tetrahedra.
+        Node numbers of hexahedra (20) or tetrahedra (10).
     """
 
     def __init__(self, nodes: Array, elements: Index) -> None:
@@ -44,7 +44,10 @@ class Solid:
         self._find_faces(elements, PLANE_TOLERANCE * size)
 
     def _find_faces(self, elements: Index, flat: float) -> None:
-        """Sort the faces into those of each wall and of the cut at x = 0."""
+        """Sort the faces into inner wall, outer wall and cut; `flat` is a tolerance in m.
+
+        The cut is the section at x = 0 with the ends of the tube, where x >= 0.
+        """
         reference = HEX20 if elements.shape[1] == len(HEX20.nodes) else TET10
         local = faces_of(reference)
         faces, owner = elements[:, local].reshape(-1, local.shape[1]), np.arange(len(elements))
@@ -73,9 +76,10 @@ class Solid:
         self.shown = {wall: shown[owner[name == wall]] for wall in self.walls}
 
     def _parts(self, faces: Index, flat: float) -> Any:
-        """Return the kind of each boundary face: inner wall, outer wall, flat, or none.
+        """Return the kind of each boundary face: ``inner``, ``outer``, ``flat`` or ``none``.
 
-        Inner and outer wall share no node once planes of symmetry and ends are left out.
+        Flat faces are the plane x = 0 and the ends; ``none`` is the symmetry plane z = 0. Faces of
+        the inner and of the outer wall share no node.
         """
         z, x = self.nodes[faces][..., 2], self.nodes[faces][..., 0]
         mirror = np.full(len(faces), False)
@@ -96,7 +100,7 @@ class Solid:
         return part
 
     def shape(self, displacement: Array) -> Shape:
-        """Return the shape of the tube with its nodes displaced by (n_nodes, 3), in m."""
+        """Return the shape of the tube for displacements of its nodes in m, (n_nodes, 3)."""
         position = self.nodes + displacement
         points, faces, count = [], {}, 0
         for wall, (sampling, triangles) in self.walls.items():
@@ -116,7 +120,7 @@ class Solid:
         return np.asarray(sampling @ (self.nodes + displacement))
 
     def area(self, displacement: Array, z: Array) -> Array:
-        """Return the lumen's cross-section in m2 at positions z in m, the press at zero.
+        """Return the lumen's cross-section in m2 at positions z in m from the press, (n,).
 
         `displacement` is that of the nodes in m, (n_nodes, 3).
         """
@@ -130,18 +134,18 @@ class Solid:
         return triangles[np.repeat(self.shown[wall], per_face)]
 
     def _whole(self, sampling: Any, position: Array, triangles: Index) -> tuple[Array, Index]:
-        """Return the modelled part completed by its mirror image along the tube."""
+        """Return points and triangles of a surface; half a tube gets its mirror image in z = 0."""
         points = np.asarray(sampling @ position)
         if not self.halved[1]:
             return points, triangles
-        # Points in the plane z = 0 are their own images.
+        # Points in the plane z = 0 are their own mirror images.
         own = np.abs(sampling @ self.nodes)[:, 2] < SECTION_OFFSET
         image = np.where(own, np.arange(len(points)), np.arange(len(points)) + len(points))
         mirrored = image[triangles[:, ::-1]]
         return np.concatenate([points, points * [1, 1, -1]]), np.concatenate([triangles, mirrored])
 
     def _outline(self, wall: str, position: Array) -> Array:
-        """Return the closed outline (n, 2) of a wall's section at the press."""
+        """Return the closed outline (n, 2) in m of a wall's section at the press."""
         import pyvista
 
         sampling, triangles = self.walls[wall]
@@ -168,7 +172,7 @@ def faces_of(reference: Reference) -> Index:
 
 
 def _single(faces: Index) -> NDArray[np.bool_]:
-    """Return the mask of the faces that belong to one element only, which are on the boundary."""
+    """Return the mask of the faces on the boundary, which belong to one element only."""
     _, which, count = np.unique(
         np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True
     )
@@ -176,7 +180,11 @@ def _single(faces: Index) -> NDArray[np.bool_]:
 
 
 def _surface(mesh: Mesh, faces: Index, middle: Array, parts: int) -> tuple[Any, Index]:
-    """Return sampling matrix and triangles of faces; normals point away from elements' middles."""
+    """Return the matrix from nodes to points on faces, and the triangles of these points.
+
+    Normals point away from the middles (n, 3) of the elements with these faces. `parts` is the
+    number of triangles along each edge of a face.
+    """
     sampling, triangles = triangulated(mesh, faces, parts)
     points = (sampling @ mesh.points)[triangles]
     normal = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])

@@ -18,7 +18,7 @@ from acoustube.runs.sweep.store import PLAN
 
 PARTS = {"style": "page.css", "charts": "charts.js", "script": "page.js"}
 DEEPER = " Move the slider to press deeper."
-"""Added to a page's lead where there are several depths."""
+"""Sentence added to the text under a page's heading if there are several depths."""
 
 
 def read(where: str | Path) -> Content:
@@ -58,7 +58,7 @@ def plotly_js() -> str:
 
 
 def assembled(content: Content, library: str) -> str:
-    """Return the page of a content as HTML.
+    """Return a page with given content as HTML.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def assembled(content: Content, library: str) -> str:
         "title": html.escape(content.title),
         "lead": html.escape(content.lead + DEEPER * several),
         "version": html.escape(__version__),
-        # In a string of the library this sequence would end the script element.
+        # Unescaped, this sequence in a string of plotly.js would end the script element.
         "library": library.replace("</script", "<\\/script"),
         "content": encoded(content),
     }

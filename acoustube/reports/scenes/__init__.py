@@ -1,1 +1,1 @@
-"""Scenes in 3-D by PyVista: `tube` and `sleeve`, rendered by `offscreen`."""
+"""Scenes in 3-D by PyVista: `sleeve`, and `tube`, which `offscreen` renders."""

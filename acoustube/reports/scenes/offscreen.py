@@ -1,8 +1,8 @@
 """Views of triangle meshes, rendered by VTK off screen.
 
-VTK ends the process where the libraries for drawing without a screen are missing, and must not take
-a finished simulation with it. Views are therefore rendered in a process of their own, which loads
-no solver: ``python -m acoustube.reports.scenes.offscreen VIEWS.pkl IMAGES.npz``.
+Where the libraries for drawing without a screen are missing, VTK ends the process. Views are
+therefore rendered in a separate process, which loads no solver, and a simulation goes on:
+``python -m acoustube.reports.scenes.offscreen VIEWS.pkl IMAGES.npz``.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
 TIME_LIMIT = 120.0
-"""Time in s after which a drawing is given up."""
+"""Longest time in s that a drawing may take."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
-    """A surface in a view.
+    """A triangulated surface in a view.
 
     Attributes
     ----------
     points : ndarray
-        (n, 3) in m.
+        Points in m, (n, 3).
     faces : ndarray of int
         Triangles, (m, 3).
     look : dict
@@ -46,7 +46,7 @@ class Mesh:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class View:
-    """Surfaces and the camera that looks at them.
+    """Surfaces, and the camera from which they are seen.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ def _started(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def _render(view: View) -> Image:
-    """Render a view."""
+    """Return the picture of a view, (height, width, 3)."""
     import pyvista
 
     plotter: Any = pyvista.Plotter(off_screen=True, window_size=list(view.pixels))

@@ -1,7 +1,7 @@
 """A sleeve in three dimensions: arm, tubes, dead zones and contacts, drawn by VTK off screen.
 
-Run as a program of its own, ``python -m acoustube.reports.scenes.sleeve PICTURE.pkl FIGURE.png``,
-for the reason that :mod:`acoustube.reports.scenes.offscreen` gives.
+VTK runs in a separate process, which it ends where it cannot draw:
+``python -m acoustube.reports.scenes.sleeve PICTURE.pkl FIGURE.png``.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ POINTS_PER_LOOP = 90
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Picture:
-    """Geometry of the picture.
+    """Tubes, markers and contacts to draw.
 
     Attributes
     ----------
     tubes : tuple of Helix
     detection_range : ndarray
-        Range of detection along each tube in m, (n_tubes, 2).
+        Least and largest distance along each tube at which a press is detected, in m, (n_tubes, 2).
     outer_diameter : float
         Outer diameter of the tubes in m.
     contacts : tuple of (int, float)
-        Tube, counted from 0, and distance in m of each contact.
+        Index of the tube, from 0, and distance along it in m, of each contact.
     deviation : float
         Standard deviation of a contact's distance in m, the length marked on each side of it.
     markers : ndarray
         Markers on the arm in m, (n, 3); may be empty and may contain nan.
     estimates : tuple of (int, float)
-        Tube, counted from 0, and distance in m of each estimated contact.
+        Index of the tube, from 0, and distance along it in m, of each estimated contact.
     """
 
     tubes: tuple[Helix, ...]
@@ -158,13 +158,13 @@ def _arm(tube: Helix, thick: float) -> Any:
 
 
 def _along(tube: Helix, start: float, stop: float) -> Array:
-    """Return points along a part of a tube, in the coordinates of the arm."""
+    """Return points (n, 3) in m on a tube between two distances in m, in the arm's coordinates."""
     n = 2 + int(POINTS_PER_LOOP * tube.loops * (stop - start) / tube.tube_length)
     return tube.point(tube.height(np.linspace(start, stop, n)))
 
 
 def _lead(tube: Helix) -> Array:
-    """Return points (n, 3) of a tube's lead, tangent to the start of the helix."""
+    """Return points (n, 3) in m of the lead, the tube before the helix, tangent to its start."""
     start, ahead = tube.point([0.0, 1e-4 * tube.length])
     back = (start - ahead) / np.linalg.norm(ahead - start)
     # The lead is drawn short and bent: its actual path is the wearer's choice.
@@ -189,14 +189,14 @@ def _side(picture: Picture) -> Array:
         for i, distance in picture.contacts
     ]
     mean = np.sum([place / np.linalg.norm(place) for place in places], axis=0) + np.zeros(2)
-    # Contacts on opposite sides have no common side.
+    # There is no mean direction without contacts, or with contacts on opposite sides.
     if np.linalg.norm(mean) < 0.1:
         mean = np.array([0.94, 0.34])
     return np.array([*mean / np.linalg.norm(mean), 0.0])
 
 
 def _look(plotter: Any, tube: Helix, side: Array) -> None:
-    """Set the camera to a side of the arm, turned a little towards the arm's start on the left."""
+    """Set the camera beside the arm, in the direction `side`, with the arm's start on the left."""
     size = tube.length + 4 * float(np.max(tube.radius_at([0.0, tube.length])))
     plotter.camera.focal_point = (0, 0, 0.45 * tube.length)
     plotter.camera.position = size * (1.1 * side + [0, 0, -0.3]) + [0, 0, 0.45 * tube.length]

@@ -21,7 +21,7 @@ WALL, LUMEN, SECTION, ROD, GROUND = "#d9c7b0", "#4f8fc0", "#b59f83", "#9aa3ad", 
 STRIP_PIXELS = (2400, 260)
 CLOSE_UP_PIXELS = (1800, 760)
 STRIP_MAGNIFICATION = 3.0
-"""Magnification of the cross-section in the strip, relative to the scale along the tube."""
+"""Magnification of the cross-section in the view `strip`, relative to the scale along the tube."""
 
 
 def drawing(walls: xr.Dataset) -> AbstractContextManager[Callable[[], dict[str, Image] | None]]:
@@ -67,7 +67,7 @@ def half_walls(dataset: xr.Dataset) -> dict[str, tuple[Any, Any]]:
     """
     inner, outer = dataset["inner_wall"].values, dataset["outer_wall"].values
     middle = inner.shape[1] // 2
-    # Rings run up on the side x > 0.
+    # The first half of a ring runs from bottom to top on the side x > 0.
     behind = [wall[:, : middle + 1] for wall in (inner, outer)]
     edges = [np.stack([inner[:, i], outer[:, i]], axis=1) for i in (0, middle)]
     parts = {"inner": behind[:1], "outer": behind[1:], "cut": edges}
@@ -75,7 +75,7 @@ def half_walls(dataset: xr.Dataset) -> dict[str, tuple[Any, Any]]:
 
 
 def _strip(sheet: NDArray[np.float64]) -> tuple[Any, Any]:
-    """Triangulate an open sheet of points (n, m, 3)."""
+    """Return the points (n m, 3) and the triangles of a grid of points (n, m, 3)."""
     from acoustube.reports.page import shapes
 
     number = np.arange(sheet.shape[0] * sheet.shape[1]).reshape(sheet.shape[:2])
@@ -83,14 +83,14 @@ def _strip(sheet: NDArray[np.float64]) -> tuple[Any, Any]:
 
 
 def _joined(meshes: list[tuple[Any, Any]]) -> tuple[Any, Any]:
-    """Put meshes of points and triangles into one."""
+    """Return several meshes, each of points and triangles, as one mesh."""
     offsets = np.cumsum([0, *(len(points) for points, _ in meshes)])
     faces = [faces + offset for (_, faces), offset in zip(meshes, offsets, strict=False)]
     return np.concatenate([points for points, _ in meshes]), np.concatenate(faces)
 
 
 def _walls(walls: dict[str, tuple[Any, Any]], magnification: float) -> list[Mesh]:
-    """Return the opened tube with its cross-section magnified; its axis is z."""
+    """Return the surfaces of the opened tube along z, with x and y magnified."""
     scale = [magnification, magnification, 1.0]
     return [
         Mesh(
@@ -172,7 +172,7 @@ def tool_behind(press: Indenter, outer: Any) -> tuple[Any, Any]:
 def layer_sheets(outer: Any, side: tuple[float, float], far: float, bottom: float) -> list[Any]:
     """Return the top and the front of an elastic layer, as grids of points (n, m, 3) in m.
 
-    The top yields where the tube sinks into the layer.
+    The top is lowered where the tube sinks into the layer.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def strip(walls: dict[str, tuple[Any, Any]]) -> View:
     camera = {
         "parallel_projection": True,
         "focal_point": (0, 0, length / 2),
-        # From a little above, at a right angle to the axis, so that distances along it are true.
+        # From a little above, at a right angle to the axis, so that it is drawn to scale.
         "position": (-length * np.cos(0.35), length * np.sin(0.35), length / 2),
         "up": (0, 1, 0),
         "parallel_scale": 0.5 * length * STRIP_PIXELS[1] / STRIP_PIXELS[0],

@@ -36,8 +36,8 @@ PLACES = np.array([0.30, 0.60, 0.90, 1.20, 1.50, 1.80, 2.10])
 ROD = 25e-3
 """Diameter in m of the indenter."""
 REACH = 0.03
-"""Half length in m of the scattering part of a press: 29 mm from a 25 mm rod the lumen has 99 % of
-its area."""
+"""Half length in m of the part of the tube that a press deforms and that scatters: 29 mm from the
+middle of a 25 mm rod the lumen has 99 % of its area."""
 TUBE_SEEDS = (0, 1)
 """Seeds of the irregularities of the sleeve's tubes."""
 
@@ -81,7 +81,7 @@ def tool(tube: Helix) -> str:
 
 
 def processing_of(tube: int) -> Processing:
-    """Return the processing of the cycles of a tube, by index, calibrated while it is straight."""
+    """Return the signal processing of a tube, given its index, calibrated on the straight tube."""
     return calibrated(TUBE_SEEDS[tube])[0].processing
 
 
@@ -113,7 +113,7 @@ def bent_around(
     like : ModalScattering
         Scattering of a press, whose band and modes are used.
     flattened : bool
-        Whether the bends flatten the tube as they would a free one.
+        Whether bending flattens the cross-section, as in a tube that no fabric holds.
     """
     return windings(
         helix, air_at(TEMPERATURE), like.frequency, [] if place is None else [place],
@@ -145,14 +145,14 @@ def cycles_of(
         Index of the tube of the sleeve.
     n_cycles : int
     name : object
-        Name of the recording, from which the seed of its noise is derived.
+        Any values that identify the recording; the seed of its noise is derived from them.
     labels : mapping of str to float, optional
         Labels to add to all cycles, besides ``true_distance``.
 
     Returns
     -------
     xarray.Dataset
-        As of :func:`acoustube.ranging.record`, with labels.
+        In the format of :func:`acoustube.ranging.record`, with labels.
     """
     press = PlacedScatterer(matrix, place)
     found = record(
@@ -165,7 +165,7 @@ def cycles_of(
 
 
 def estimates_of(cycles: xr.Dataset, tube: int) -> xr.Dataset:
-    """Return the sleeve paper's estimates for cycles of a tube, by index, and the labels."""
+    """Return labels and features of a tube's cycles, by the sleeve paper's processing."""
     return estimation.feature_table(cycles, FeatureSettings(processing=processing_of(tube)))
 
 

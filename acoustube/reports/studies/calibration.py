@@ -40,9 +40,7 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:  # noqa: ARG001
     gain = found.processing.gain
     assert gain is not None
     upper, lower = gain.c4 - gain.c1, gain.c4 + gain.c1
-    clean = (
-        "A simulated closure reflects all, at an exact place, in a tube that is the same all along."
-    )
+    clean = "A simulated closure reflects the whole wave, at an exact place, in a uniform tube."
     chosen = "Met by choice: the sensor's gain was set so that this asymptote is the published one."
     rows = [
         Row(quantity="fit of the amplitude (arctan): RMSE", unit="1", published=0.0254,
@@ -82,9 +80,9 @@ TEXT = """\
 A rigid closure at 37 places of a 2.5 m tube, five cycles of each, and 400 cycles without contact,
 recorded by the simulated rangefinder: losses at the wall and in the air, the transducer's
 resonance, noise, clutter and 12 bits. The arctan of section II-E is fitted to the amplitudes; its
-parameters make the gain; a line through the distances sets the time of the send pulse.
+parameters give the gain. A line through the distances sets the time of the send pulse.
 
-Neither finite elements nor a grid take part: a closure reflects the whole plane mode."""
+Neither finite elements nor a grid are used: a closure reflects the plane mode completely."""
 
 
 @cache
@@ -118,7 +116,7 @@ def calibrated(tube_seed: int = 0) -> tuple[Calibration, float]:
     raise SimulationError(
         f"a least prominence of {FACTORS[-1]:g} standard deviations still finds echoes in "
         f"{100 * found.false_alarms:.2g} % of untouched cycles of tube "
-        f"{tube_seed}; take another one"
+        f"{tube_seed}; use another tube_seed"
     )
 
 

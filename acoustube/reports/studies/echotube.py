@@ -32,7 +32,7 @@ from acoustube.waves.modes import axial_wavenumber
 BORES = (4.0, 6.0, 8.0, 10.0, 20.0)
 """Bores in mm."""
 REACHES = {4.0: 75.0, 6.0: 178.0, 8.0: 245.0, 10.0: 315.0}
-"""Published largest located distances in cm, by bore in mm; of a range, the middle."""
+"""Published largest located distances in cm, by bore in mm; the middle where a range is given."""
 WIDEST_REACH = 390.0
 """Published largest located distance in cm in the widest bore, where the tube ended."""
 DEAD_ZONES = {4.0: 15.0, 6.0: 15.0, 8.0: 15.0, 10.0: 20.0, 20.0: 45.0}
@@ -51,7 +51,7 @@ PRESSED, FEW_PRESSED = (7.5e-3, 8e-3), (6e-3, 8e-3)
 """Depths in m of the nearer press, which must transmit sound, and of the farther one, which closes
 the lumen; FEW_PRESSED are those of a quick study."""
 PEAK_TOLERANCE = 0.1
-"""Largest distance in m of a press's peak from the press."""
+"""Largest distance in m between a press and a peak that counts as its echo."""
 DECIBEL = 20 / np.log(10)
 """Level in dB of an amplitude ratio of e (1 neper)."""
 
@@ -89,7 +89,7 @@ the farther until the lumen is closed; 50 cycles are averaged, as a sensor at re
 
 
 def attenuation(bore_mm: float) -> float:
-    """Return the plane wave's loss at 42 kHz in dB/m, at the wall and in the air."""
+    """Return the plane wave's attenuation at 42 kHz in dB/m, at the wall and in the air."""
     air = air_at(TEMPERATURE)
     wave = axial_wavenumber(0, 0, np.array([CARRIER]), 0.5e-3 * bore_mm, air)
     return float(-DECIBEL * wave.imag[0])
@@ -103,10 +103,10 @@ def reach(bore_mm: float, dynamic: float, *, coupled: bool) -> float:
     bore_mm : float
         Bore in mm.
     dynamic : float
-        Largest loss in dB at which a closure is detected.
+        Largest attenuation in dB, there and back, at which a closure is detected.
     coupled : bool
-        Whether sound that enters and leaves a bore narrower than the reference is proportional to
-        its area.
+        Whether the amplitude that enters, and that leaves, a bore narrower than
+        :data:`REFERENCE_BORE` is reduced in proportion to its area.
     """
     narrower = min(bore_mm / REFERENCE_BORE, 1.0)
     lost = -2 * DECIBEL * np.log(narrower**2) if coupled else 0.0
@@ -155,7 +155,7 @@ def two_presses(scale: Scale, work: Path, report: Reporter) -> list[xr.Dataset]:
 
 
 def averaged(cycles: xr.Dataset) -> signals.Ranging:
-    """Return the distance and the echoes found in the mean of cycles."""
+    """Return the distance and the echoes detected in the mean of cycles."""
     mean = cycles["signal"].values.astype(float).mean(axis=0)
     settings = Processing(prominence=5e-4, send_shift=_shift())
     return signals.locate(cycles["time"].values, mean, settings, temperature=TEMPERATURE)
@@ -172,7 +172,7 @@ def _shift() -> float:
 
 
 def both(ranging: signals.Ranging, places: Sequence[float]) -> list[float]:
-    """Return the error in m of the highest peak within 10 cm of each press; nan without one."""
+    """Return the distance error in m of the highest peak within 10 cm of each press, or nan."""
     delay = ranging.echoes.times - ranging.send_time
     distance = np.asarray(signals.distance(delay, TEMPERATURE))
     found = []

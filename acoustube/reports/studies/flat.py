@@ -89,12 +89,12 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:
 
 TEXT = """\
 A 25 mm rod presses a 2.5 m tube at 191 places to 15 depths, and 50 cycles of each press
-are recorded; then at five places to 60 depths. The presses are finite elements, the sound is
-scattered by each and carried by the tube with its losses, and the default rangefinder records it.
+are recorded; then at five places to 60 depths. The presses are computed by finite elements. Each
+scatters the sound, which propagates along the tube with losses. The default rangefinder records it.
 The cycles are processed with the calibration of Fig. 3, made on the same tube. A cycle is located
 if the error of its distance is below 25 cm.
 
-The rangefinder's noise, clutter and ring-down are its defaults, set once from stated observations:
+The rangefinder's noise, clutter and ring-down are its defaults, chosen from published observations:
 the dead zone, and that contacts are found only from about 2.5 mm near and 7 mm beyond 1.95 m.
 
 The coarser level has every fifth place and five cycles of each press.
@@ -128,7 +128,7 @@ def recorded(
     Returns
     -------
     xarray.Dataset
-        As of :func:`acoustube.estimation.feature_table`, with the sleeve paper's features.
+        Table of :func:`acoustube.estimation.feature_table`, with the sleeve paper's features.
     """
     places = FEW_PLACES if scale.quick else FEWER_PLACES if few else PLACES
     depths = FEW_DEPTHS if scale.quick else DEPTHS
@@ -161,7 +161,7 @@ def recordings_inverted(
     Returns
     -------
     first, second : xarray.Dataset
-        As of :func:`acoustube.reports.studies.inverted.inverted_table`.
+        In the format of :func:`acoustube.reports.studies.inverted.inverted_table`.
     """
     over = {name: words for name, words in ROD.items() if name != "length_cm"}
     library = inverted.library_of(work / "library", over, scale.level, scale, report)
@@ -252,10 +252,10 @@ def trained_network(table: xr.Dataset, scale: Scale, report: Reporter) -> Model:
 def localisation_rows(tables: Tables) -> list[Row]:
     """Return rows of Table I, of detection, and of the smallest reliable depths."""
     why = (
-        "Our errors are of two kinds: small ones, and those of several centimetres where trapped "
-        "sound is the highest peak. In the sleeve paper even complete closures scatter by 3.6 cm "
-        "about a line (Fig. 3), far more than ours do: most of its error comes from its tube and "
-        "bench, not from the presses."
+        "Our errors are of two kinds: small ones, and those of several centimetres where sound "
+        "trapped near the rod is the highest peak. In the sleeve paper even complete closures "
+        "scatter by 3.6 cm about a line (Fig. 3), far more than ours do: most of its error comes "
+        "from its tube and bench, not from the presses."
     )
     rows = ranged.distance_rows(tables, (5.23, 13.1, 9.31), why)
     rows += [
@@ -263,13 +263,13 @@ def localisation_rows(tables: Tables) -> list[Row]:
         compared_row(
             lambda cycles: MM * shallowest(cycles, 0.0, NEAR), tables,
             quantity="depth from which contacts up to 0.6 m are reliable", unit="mm", published=2.5,
-            why="The clutter was set by this on another specimen; each has its own irregularities.",
+            why="The clutter was chosen to give this, on a specimen with other irregularities.",
         ),
         compared_row(
             lambda cycles: MM * shallowest(cycles, BEYOND, 3.0), tables,
             quantity="depth from which contacts beyond 1.95 m are reliable", unit="mm",
             published=7.0,
-            why="The noise was set by this; only the deepest presses close the lumen.",
+            why="The noise was chosen to give this; only the deepest presses close the lumen.",
         ),
         compared_row(
             ranged.error_of_deep, tables,
@@ -299,10 +299,10 @@ def force_rows(
     constant = float(np.median(table["force"].values))
     guess = estimation.errors(table["force"].values, np.full(table.sizes["cycle"], constant))
     why = (
-        "Here force follows from depth alone, and a press echoes alike in both datasets; in the "
-        "sleeve paper its platforms added significant variance. As there, estimates cluster at "
-        "medium depths, where the amplitude is not monotonic. A constant estimate, the median, "
-        "gives "
+        "Here force follows from depth alone, and a press has the same echo in both datasets; the "
+        "sleeve paper's test platforms added significant variance. As in that paper, estimates "
+        "cluster at medium depths, where the amplitude is not monotonic. A constant estimate, the "
+        "median, gives "
     )
     rows = [
         Row(

@@ -1,4 +1,4 @@
-"""Figures of the flat table: distances, maps over depth and distance, forces."""
+"""Figures of the study of a tube on a flat table: distances, maps by depth and distance, forces."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from acoustube.base.units import CM, MM
 from acoustube.reports.studies.ranged import FALSE_POSITIVE_ERROR, found_distance, located
 
 BIN = 0.05
-"""Width in m of the maps' bins: the sleeve paper has 38 over the tube."""
+"""Width in m of the maps' bins of distance, as in the sleeve paper, whose map has 38 bins."""
 
 
 def distances(table: xr.Dataset) -> Figure:
@@ -67,7 +67,7 @@ def over_map(table: xr.Dataset, values: NDArray[Any]) -> tuple[Array, Array, Arr
 
 
 def maps(table: xr.Dataset) -> Figure:
-    """Draw maps of the mean absolute distance error and of the fraction of located cycles."""
+    """Draw maps of the mean absolute distance error and of the percentage of errors below 25 cm."""
     sheet = Figure(figsize=(12, 4.5), layout="constrained")
     left, right = sheet.subplots(1, 2)
     size = np.abs(found_distance(table) - table["true_distance"].values)
@@ -88,7 +88,7 @@ def _draw_map(
 
 
 def amplitudes(first: xr.Dataset, second: xr.Dataset) -> Figure:
-    """Draw maps of the mean height of the highest peak in both datasets."""
+    """Draw maps of the mean height of the envelope's highest peak in each of two datasets."""
     sheet = Figure(figsize=(12, 4.5), layout="constrained")
     for axes, table in zip(sheet.subplots(1, 2), (first, second), strict=True):
         heights = np.asarray(table["features"].sel(feature="amplitude").values)
@@ -133,7 +133,7 @@ def forces(table: xr.Dataset, estimates: xr.Dataset) -> Figure:
 
 
 def _means(table: xr.Dataset, values: Array, place: float, depths: NDArray[Any]) -> Array:
-    """Return the mean at each depth of the finite values at a place."""
+    """Return the mean at each depth of the finite values of cycles at one place, (n_depths,)."""
     here = np.isclose(table["true_distance"].values, place) & np.isfinite(values)
     at, depth = values[here], table["depth"].values[here]
     some = [at[np.isclose(depth, one)] for one in depths]

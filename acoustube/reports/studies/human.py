@@ -33,7 +33,7 @@ from acoustube.runs.config import Config, configured
 from acoustube.waves.scattering import ModalScattering
 
 STATES = np.array([1, 3, 5]) / 6
-"""Forces at which a hand's drift within a level is sampled, as fractions of the level's range."""
+"""Forces of one press, since a hand's force drifts, as fractions of the range of its level."""
 CYCLES = (14, 13, 13)
 """Number of cycles at each force of `STATES`: 2 s in all."""
 SHIFT = -0.10
@@ -46,7 +46,7 @@ LIBRARY = "0.5:14:0.5"
 GRID = tuple(np.arange(0.5, 15.01, 0.5) / MM)
 """Depths in m of the load path on which a press is interpolated by force."""
 RIGID_GRID = tuple(np.arange(0.5, 8.01, 0.5) / MM)
-"""Depths in m of that load path on a rigid arm."""
+"""Depths in m of the load path on a rigid arm, on which a press is interpolated by force."""
 
 
 def study(scale: Scale, work: Path, report: Reporter) -> Study:
@@ -72,7 +72,7 @@ def study(scale: Scale, work: Path, report: Reporter) -> Study:
         "height "
         "(right).": human_figures.grounds(paths),
         "A press that swipes along the tube at 5 cm/s (left), and two presses 20 cm apart (right): "
-        "all echoes, and the tracked contacts.": swipe_figure(tracks),
+        "echoes, and the tracked contacts.": swipe_figure(tracks),
         **inverted.compared_figures(table, inversion),
     }
     drawn = human_figures.arm(table)
@@ -118,8 +118,8 @@ def ground(layer_mm: float | None = None, layer_mpa: float | None = None) -> Con
     indentation of limbs gives initial values from under 1 to 58 kPa, which rise steeply with
     compression [1]_; gluteal muscle has 62 kPa under 5 N and 440 kPa under 30 N [2]_; a forearm
     stiffens when its muscles act [3]_. 60 kPa suits muscle under the forces of these presses. The
-    layer consists of independent columns. Under the tube's footprint of 10 by 40 mm they are as
-    stiff as a half space of 0.6 times their modulus.
+    layer consists of independent columns (a Winkler foundation). Under the tube's footprint of 10
+    by 40 mm they are as stiff as a half space of 0.6 times their modulus.
 
     References
     ----------
@@ -152,9 +152,9 @@ def recorded(
     Returns
     -------
     table : xarray.Dataset
-        Features of one averaged cycle per press, as of :func:`acoustube.estimation.feature_table`,
-        with the least force ``level`` of the press's level in N, and the index ``number`` of the
-        tube.
+        Features of one averaged cycle per press, from :func:`acoustube.estimation.feature_table`,
+        with ``level``, the lower end of the press's level of force in N, and ``number``, the index
+        of the tube.
     presses : dict
         See :func:`acoustube.reports.studies.arm.by_depth`.
     cycles : list of xarray.Dataset
@@ -166,7 +166,7 @@ def recorded(
     with the forces of the sweep's own mesh, which differ from the prescribed forces by the coarse
     mesh's error.
     """
-    report.line("the depths that forces take on soft ground ...")
+    report.line("depths of the presses by force on soft ground ...")
     levels = LEVELS[2:] if scale.quick else LEVELS
     wanted = np.concatenate([forces_of(each) for each in levels])
     found = by_force(press_runs.pressed(ground(**ARM), GRID), wanted)
@@ -227,7 +227,7 @@ def _inverted(
 
 
 def averaged(parts: list[xr.Dataset]) -> xr.Dataset:
-    """Return the mean of cycles as one cycle."""
+    """Return the mean of cycles as one cycle of a dataset."""
     joined = xr.concat(parts, "cycle", combine_attrs="drop_conflicts")
     return joined.mean("cycle", keep_attrs=True).expand_dims("cycle").transpose("cycle", ...)
 
@@ -265,7 +265,7 @@ def distance_rows(tables: Tables) -> list[Row]:
         compared_row(
             lambda cycles: float(ranged.false_positives(cycles).sum()), tables,
             quantity="errors over 25 cm (false positives)", unit="1", published=3.0,
-            why="Ours are due to the clutter, drawn by the seeds of the tubes.",
+            why="Ours are due to the clutter, which is random, with a seed for each tube.",
         ),
         compared_row(
             _reach, tables,
@@ -296,7 +296,7 @@ def _force_rows(inversion: xr.Dataset) -> list[Row]:
 
 
 def _counted(tables: Tables, low: float, words: str) -> Row:
-    """Return the row with the number of located presses of a level."""
+    """Return the row with the number of located presses of the force level from `low` in N."""
     return compared_row(
         lambda cycles: float((ranged.located(cycles) & (cycles["level"].values == low)).sum()),
         tables, quantity=f"located presses, {words}",

@@ -1,4 +1,4 @@
-"""Figures of the human arm: distances, grounds, and places on the sleeve."""
+"""Figures of the study of a human arm: distances, presses on several grounds, and places."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from acoustube.sleeve import layout
 from acoustube.sleeve.layouts import OUTER_DIAMETER
 
 LEVELS = ((2.0, 4.0), (4.0, 6.0), (6.0, 8.0))
-"""Ranges of force in N."""
+"""Levels of force: range of each in N."""
 COLOURS = ("#7fb3d5", "#e59866", "#943126")
 """Colours of the levels."""
 
@@ -60,7 +60,7 @@ def distances(table: xr.Dataset) -> Figure:
 
 
 def grounds(paths: dict[str, ByForce]) -> Figure:
-    """Draw travel of the indenter and loss of lumen height against force, by name of the ground."""
+    """Draw travel of the indenter and loss of lumen height against force; `paths` are by ground."""
     sheet = Figure(figsize=(10, 4.2), layout="constrained")
     left, right = sheet.subplots(1, 2, sharey=True)
     for name, path in paths.items():

@@ -35,11 +35,11 @@ UNTOUCHED = 200
 SEED = 11
 """Random seed of the cycles without contact."""
 TOLERANCE = 0.005
-"""Largest relative error of interpolated scattering, the default of ``acoustube library``."""
+"""Largest relative error of the interpolated scattering: the default of ``acoustube library``."""
 DEPTHS = "0.25:8:0.31"
-"""Depths in mm of the libraries; only the last one is also a depth of presses."""
+"""Depths in mm in the libraries; the recorded presses have other depths, except the last."""
 PLACE_AXIS, FORCE_AXIS = (1e-3, 100.0), (1e-2, 1000.0)
-"""Ranges of the figure's axes: of errors of place in cm, and of errors of force in per cent."""
+"""Ranges of the figure's axes: errors of distance in cm, and errors of force in per cent."""
 
 
 def library_of(
@@ -111,14 +111,14 @@ def inverted_table(
     Parameters
     ----------
     recordings : sequence of xarray.Dataset
-        As of :func:`acoustube.ranging.record`, with labels.
+        In the format of :func:`acoustube.ranging.record`, with labels.
     inverter : RecordingInverter
     report : Reporter
 
     Returns
     -------
     xarray.Dataset
-        A row for each recording along ``cycle``: the labels; ``features`` as of
+        A row for each recording along ``cycle``: the labels; ``features`` in the format of
         :func:`acoustube.estimation.feature_table`, but only ``distance``; and ``estimated_force``
         in N. Distance and force are those of the most probable contact, nan where none is detected.
     """

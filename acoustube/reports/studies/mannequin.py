@@ -79,7 +79,7 @@ TEXT = """\
 A 25 mm rod presses one tube of a sleeve at seven places to 15 depths, and 50 cycles of each are
 recorded. The sleeve is a helix of 9 loops on a cone of the size of a forearm, which takes 250 cm of
 tube. The arm is rigid, and the sleeve's pocket holds the tube on it. The tube bends away from the
-rod, which is as if a thinner one met a straight tube. Between the presses the tube is bent: its
+rod, which is as if a thinner rod pressed a straight tube. Between the presses the tube is bent: its
 curvature and torsion convert the plane wave into (1,1) and back, so that the incident sound depends
 on the place of the press on the arm.
 
@@ -98,12 +98,7 @@ test machine's rod slid, and how the arm's curved surface took the deep presses.
 
 
 def flat_network(scale: Scale, work: Path, report: Reporter) -> Model:
-    """Return the force network trained on the flat table, with every fifth of its positions.
-
-    Returns
-    -------
-    acoustube.estimation.Model
-    """
+    """Return the force network trained on the flat table's study, with every fifth position."""
     table = flat.recorded(scale.level, scale, work, report, few=True)
     return flat.trained_network(table, scale, report)
 
@@ -125,9 +120,9 @@ def recorded(
     Returns
     -------
     estimates : dict of xarray.Dataset
-        Estimates by shape, as of :func:`acoustube.estimation.feature_table`.
+        Distances and labels by shape, from :func:`acoustube.estimation.feature_table`.
     cycles : list of xarray.Dataset
-        The first cycles of each press of the wrapped tube; empty if that is not in `shapes`.
+        The first cycles of each press of the wrapped tube; empty if `shapes` does not include it.
     matrix : ModalScattering
         Scattering matrix of the shallowest press.
     """
@@ -209,7 +204,7 @@ def distance_rows(tables: Tables, helix: Helix) -> list[Row]:
 
 
 def farthest(table: xr.Dataset) -> float:
-    """Return the largest distance in m of a press of which most cycles are located; nan if none."""
+    """Return the largest distance in m at which a press is located in most cycles; nan if none."""
     good = [
         place
         for place in np.unique(table["true_distance"].values)
@@ -251,7 +246,7 @@ def force_rows(tables: Tables, network: Model) -> list[Row]:
 
 
 def shape_rows(tables: dict[str, xr.Dataset]) -> list[Row]:
-    """Return rows of the effects of wrapping and flattening the tube on the highest peaks."""
+    """Return rows of the effects of wrapping and of flattening the tube on the highest peak."""
     straight = peaks(tables["straight"])
     rows = []
     for shape, words in (("wrapped", "wrapped"), ("flattened", "wrapped and flattened")):
@@ -262,18 +257,19 @@ def shape_rows(tables: dict[str, xr.Dataset]) -> list[Row]:
                 ours=float(np.nanmedian(change)), why="Of presses located in both tubes.",
             ),
             Row(
-                quantity=f"highest peak, {words} against straight: half the presses within",
+                quantity=f"highest peak, {words} against straight: median absolute deviation",
                 unit="dB", ours=float(np.nanmedian(np.abs(change - np.nanmedian(change)))),
-                why="Around that median: the amplitude of (1,1) at a press depends on its phase.",
+                why="From that median: the amplitude of (1,1) at a press depends on its phase.",
             ),
         ]  # fmt: skip
     return rows
 
 
 def peaks(table: xr.Dataset) -> Array:
-    """Return the mean height of the highest peak of each press's located cycles, (press,).
+    """Return the mean height of the highest peak of each press, (press,).
 
-    The unit is the send pulse; nan for presses of which no cycle is located.
+    The mean is over cycles with a distance error below 25 cm, nan without one. Heights are relative
+    to the send pulse.
     """
     presses = _presses(table)
     heights = table["features"].sel(feature="amplitude").values

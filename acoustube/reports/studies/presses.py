@@ -1,4 +1,4 @@
-"""Sweeps of studies, and the scattering that is stored with them."""
+"""Sweeps of presses for the studies, and their stored scattering matrices."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def swept(
     Returns
     -------
     xarray.Dataset
-        Cases as of :func:`acoustube.open_dataset`, loaded.
+        Cases in the format of :func:`acoustube.open_dataset`, loaded into memory.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def swept(
     """
     given = {
         "method": ["spectral"], "mesh": [level.mesh],
-        # The time-domain solver's, which computes lumens that the spectral one cannot represent.
+        # For the time-domain solver, which computes lumens that the spectral one cannot represent.
         "resolution": [str(level.resolution)],
     }  # fmt: skip
     plan = load_plan(None, {**given, **over})

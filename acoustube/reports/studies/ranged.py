@@ -15,13 +15,13 @@ from acoustube.estimation import Errors
 from acoustube.reports.studies.report import Row, Tables, compared_row
 
 FALSE_POSITIVE_ERROR = 0.25
-"""Error of the distance in m from which a detection is a false positive."""
+"""Least error of the distance in m with which a detection counts as a false positive."""
 FIRST_DATASET_DEPTH = 0.9e-3
 """Depth in m that all presses of the flat table's first dataset exceed."""
 DEEP = 6.5e-3
 """Depth in m from which the sleeve paper states the errors of deep presses separately."""
 RELIABLE_FRACTION = 0.5
-"""Fraction of located cycles above which a contact is reliable."""
+"""Fraction of cycles with an error below 25 cm above which a contact counts as reliable."""
 
 
 def distance_errors(table: xr.Dataset) -> Errors:
@@ -30,7 +30,7 @@ def distance_errors(table: xr.Dataset) -> Errors:
 
 
 def force_errors(table: xr.Dataset) -> Errors:
-    """Return the statistics in N of an inversion's force errors, where it detects a contact."""
+    """Return statistics in N of the force errors of an inversion, where it detects a contact."""
     return estimation.errors(table["force"].values, table["estimated_force"].values)
 
 
@@ -58,10 +58,10 @@ def false_positives(table: xr.Dataset) -> NDArray[np.bool_]:
 
 
 def shallowest(table: xr.Dataset, nearest: float, farthest: float) -> float:
-    """Return the smallest depth in m such that most cycles of this and larger depths are located.
+    """Return the least depth in m from which on most cycles have an error below 25 cm.
 
-    All positions from `nearest` to `farthest` in m count together. The result is nan if most cycles
-    of the deepest presses are not located.
+    Cycles at all positions from `nearest` to `farthest` in m count together. The result is nan if
+    most cycles of the deepest presses have no echo or a larger error.
     """
     place = table["true_distance"].values
     inside = table.isel(cycle=(place >= nearest) & (place <= farthest))

@@ -73,7 +73,7 @@ class Scale:
 
     @property
     def coarser(self) -> Level | None:
-        """Coarser level, for the effect of refinement; None for a quick study."""
+        """Coarser mesh and grid, which show the effect of refinement; None for a quick study."""
         return None if self.quick else COARSE
 
 
@@ -128,7 +128,7 @@ class Tables(NamedTuple):
     ours : xarray.Dataset
         By the sleeve paper's processing.
     coarser : xarray.Dataset or None
-        The same on the coarser level.
+        Likewise, from presses computed on a coarser mesh and grid.
     inversion : xarray.Dataset or None
         By waveform inversion, of the presses of `ours` or some of them.
     """
@@ -147,7 +147,7 @@ class Tables(NamedTuple):
 
 
 def compared_row(measure: Callable[[xr.Dataset], float], tables: Tables, **words: Any) -> Row:
-    """Return a row whose numbers are a measure of each table; `words` are its other attributes."""
+    """Return a row of the values of `measure` for each table; `words` are its other attributes."""
     ours, coarser, inversion = tables.measured(measure)
     return Row(ours=ours, coarser=coarser, inversion=inversion, **words)
 
@@ -180,7 +180,7 @@ def _relative(value: float, reference: float | None) -> float:
 
 
 def write(study: Study, name: str, folder: Path) -> None:
-    """Write a study as ``index.html``, ``table.csv`` and a PNG per figure, over existing files.
+    """Write ``index.html``, ``table.csv`` and a PNG per figure of a study; replace existing ones.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def write(study: Study, name: str, folder: Path) -> None:
 
 
 def write_table(studies: Mapping[str, Study], path: Path) -> None:
-    """Write the numbers of studies, given by name, as a CSV file, over an existing file."""
+    """Write the numbers of studies, given by name, as a CSV file; an existing one is replaced."""
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow(COLUMNS)

@@ -70,10 +70,10 @@ from the envelope's highest peak, if it is over 0.1 % of the send pulse.
 As published there are no losses. The same presses are computed with losses, and with an absorbing
 source end, which is closer to a transducer.
 
-The distance's error has two values: small where the direct echo is highest, and several
-centimetres where the highest is sound that was trapped near the rod, in a mode (2,1) whose cut-on
-in the widened lumen lies below the carrier and in the round bore just above. A mean over depths is
-a mixture of the two. With a pressure-release end the echo passes the probe twice,
+The error of the distance is small where the direct echo is the highest peak. It is several
+centimetres where the highest peak is sound that was trapped near the rod in the mode (2,1), whose
+cut-on is below the carrier in the widened lumen and just above it in the round bore. A mean over
+depths is a mixture of the two. With a pressure-release end the echo passes the probe twice,
 {MS * 2 * PROBE / SOUND_SPEED:.3f} ms apart, which adds about {CM * PROBE:g} cm where the second
 lobe is the higher.
 
@@ -95,8 +95,8 @@ def mean_error(cases: xr.Dataset | None, rod: str, end: str = "release") -> tupl
 
 def _error_rows(lossless: xr.Dataset, lossy: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
     why = (
-        "A mixture of small and large values (see the text); the number of depths with each "
-        "decides the mean. The sleeve paper does not state its depths and least prominence."
+        "A mixture of small and large errors (see the text); the mean depends on the number of "
+        "depths with each. The sleeve paper does not state its depths and least prominence."
     )
     rows = []
     for rod, published in RODS.items():
@@ -127,7 +127,7 @@ def _amplitude_rows(lossless: xr.Dataset, low: xr.Dataset, coarser: xr.Dataset |
     rows = [
         compared_row(
             _smallest_wins, Tables(lossless, coarser),
-            quantity="depths at which the 10 mm rod echoes most", unit="%", published=100.0,
+            quantity="depths where the 10 mm rod has the highest echo", unit="%", published=100.0,
             why="Published in words: the largest amplitudes occur for the 10 mm indenter.",
         )
     ]  # fmt: skip
@@ -148,7 +148,7 @@ def _amplitude_rows(lossless: xr.Dataset, low: xr.Dataset, coarser: xr.Dataset |
 
 
 def rising(amplitude: Array) -> float:
-    """Return the fraction of steps at which the amplitude rises; a missing echo counts as zero."""
+    """Return the fraction of depth steps where the amplitude does not fall; nan counts as zero."""
     return float(np.mean(np.diff(np.nan_to_num(amplitude)) >= 0))
 
 
@@ -160,10 +160,10 @@ def _smallest_wins(cases: xr.Dataset) -> float:
 
 
 def _time_rows(lossless: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
-    """Return rows of the range over depth of the direct echo's distance, where it is highest."""
+    """Return rows of the variation with depth of the distance estimated from the direct echo."""
     why = (
-        "The wall is rigid for sound at 42 kHz, the speed of sound the same at all depths: what "
-        "moves is the reflecting part of the press. The sleeve paper suspects a speed that "
+        "The wall is rigid for sound at 42 kHz, and the speed of sound is the same at all depths: "
+        "it is the reflecting part of the press that moves. The sleeve paper suspects a speed that "
         "depends on depth, and finds little of it in its simulations too."
     )
     return [
@@ -177,7 +177,7 @@ def _time_rows(lossless: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
 
 
 def direct_range(cases: xr.Dataset, rod: str) -> float:
-    """Return the range in cm of a rod's distance estimates that are within 2 cm of the press."""
+    """Return maximum less minimum in cm of those distance errors of a rod that are below 2 cm."""
     error = CM * of_rod(chosen(cases, "absorbing"), rod)["error"].values
     near = error[np.abs(error) < 2.0]
     return float(np.ptp(near)) if near.size else float("nan")

@@ -1,4 +1,4 @@
-"""Selection of the cases of the simulation study, and their late and modal energy."""
+"""Cases of the study of the sleeve paper's simulations: selection, and energy by time and mode."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ CUT_ON = cut_on_frequency(1, 1, DEFAULT.radius, SOUND_SPEED)
 
 
 def chosen(cases: xr.Dataset, end: str) -> xr.Dataset:
-    """Return cases with amplitude, distance and error of the distance at one kind of source end."""
+    """Return cases with amplitude, distance and distance error for one kind of source end."""
     return select.chosen(cases.assign(chosen_source_end=("press", [end] * cases.press.size)))
 
 
@@ -52,7 +52,7 @@ def only(cases: xr.Dataset, label: str, value: float) -> xr.Dataset:
 def late_fraction(cases: xr.Dataset) -> Array:
     """Return the fraction of each case's echo energy later than :data:`TRAPPED_AFTER_S`, (press,).
 
-    The source end absorbs.
+    The source end absorbs. Times are from the middle of the direct echo.
     """
     signal = np.nan_to_num(cases["pressure"].sel(source_end="absorbing").values.astype(float)) ** 2
     time = cases["time"].values
@@ -83,7 +83,7 @@ def carried_power(folder: Path) -> dict[tuple[str, float], dict[str, Array]]:
 
 
 def _fractions(matrix: ModalScattering) -> dict[str, Array]:
-    """Return the fractions of power in each mode, (reflected, transmitted)."""
+    """Return the reflected and the transmitted fraction of a plane wave's power by mode, (2,)."""
     weight = np.abs(_spectrum(matrix.frequency)) ** 2
     plane = matrix.modes.index("00")
     power = np.abs(matrix.s[:, :, :, 0, plane]) ** 2

@@ -1,4 +1,4 @@
-"""Figures of the simulation study."""
+"""Figures of the study of the sleeve paper's simulations."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def figures(
         "the pulse's band, against depth. A plane-averaging probe records only the plane wave.": (
             _modes(carried)
         ),
-        "The highest echo at 10, 20 and 42 kHz, absorbing end, with losses. Below "
+        "The highest echo at 10, 20 and 42 kHz, absorbing source end, with losses. Below "
         f"{KHZ * CUT_ON:.1f} kHz only the plane wave propagates; the echo rises steadily with "
         "depth only where the press is short against the wavelength, "
         f"{MM * SOUND_SPEED / 10e3:.0f} mm at "

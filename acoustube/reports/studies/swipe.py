@@ -1,4 +1,4 @@
-"""A press that swipes along a tube, and two presses at once, tracked through the whole sensor."""
+"""Tracking of a press that moves along a tube (swipe), and of two presses at once."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ FORCES = (4.3, 7.0)
 NEARER_FORCES, FARTHER_FORCES, GAPS = (4.3, 5.0, 5.7), (6.3, 7.0, 7.7), (0.2, 0.25, 0.3, 0.4)
 """Forces in N of nearer and of farther presses, and distances between them in m."""
 PAIR_TOLERANCE, PAIR_CYCLES = 0.10, 6
-"""Largest error in m with which a press of a pair counts as located (half of the smallest distance
-in `GAPS`), and number of cycles for which a pair is tracked."""
+"""Largest distance error in m with which a press of a pair counts as located (half of the smallest
+of `GAPS`), and number of cycles for which a pair is tracked."""
 CANDIDATE_RATIO = 0.06
-"""Least height of a candidate echo, as a fraction of the highest: with 0.12 a press behind another
-is missed, with 0.03 a hard press has twice as many false echoes."""
+"""Least amplitude of an echo that is tracked, as a fraction of the highest: with 0.12 a press
+behind another is missed, with 0.03 a hard press has twice as many false echoes."""
 TRACKING = TrackingSettings(deviation=0.015)
 """Settings of the tracker; the standard deviation includes delays of echoes by trapped sound."""
 
@@ -52,7 +52,7 @@ class Track(NamedTuple):
     true : array of shape (cycle, contact)
         True distances in m.
     candidates : list of array
-        Distances of all echoes of each cycle in m.
+        Distances in m of the echoes of each cycle from :data:`CANDIDATE_RATIO` of the highest on.
     contacts : list
         Confirmed contacts of each cycle; see :class:`acoustube.sleeve.ContactTracker`.
     seconds : array of shape (cycle,)
@@ -84,7 +84,7 @@ def swiped(
 
     Notes
     -----
-    The tube is straight: on a wrap a moving press would need the bends around each position.
+    The tube is straight: on a wrapped tube each position would need other bends around the press.
     """
     light, hard = (_of_force(presses, force) for force in FORCES)
     share = 0.25 if quick else 1.0
@@ -124,7 +124,7 @@ def resolved_pairs(
 def _of_force(
     presses: Mapping[float, tuple[Any, ModalScattering]], force: float
 ) -> ModalScattering:
-    """Return the scattering of the press whose force is nearest to a given one in N."""
+    """Return the scattering matrix of the press whose force is nearest to `force` in N."""
     return min(presses.values(), key=lambda press: abs(float(press[0]["force"]) - force))[1]
 
 
@@ -169,15 +169,13 @@ def errors_of(track: Track) -> Array:
 
 
 def swipe_rows(tracks: tuple[Track, Track], resolved: NDArray[np.bool_]) -> list[Row]:
-    """Return rows of the tracking errors, numbers of resolved pairs, and computing time."""
+    """Return rows of tracking errors, numbers of resolved pairs of presses, and computing time."""
     swipe, pair = tracks
     off, both = errors_of(swipe), errors_of(pair)
     speeds = [now.speed[np.argmin(np.abs(now.place - z))] for now, (z,) in zip(
         swipe.contacts, swipe.true, strict=True) if len(now.place)]  # fmt: skip
     taken = np.concatenate([swipe.seconds, pair.seconds])
-    why = (
-        "Through the whole simulated sensor, on a straight tube; the sleeve paper shows no numbers."
-    )
+    why = "Simulated with the whole sensor, on a straight tube; the sleeve paper gives no numbers."
     of_two = (
         "Behind a hard press, the echo of a second one is as weak as the sound trapped by the "
         "first. Where these two overlap, one contact is found instead of two, or the farther one "
@@ -212,7 +210,7 @@ def swipe_rows(tracks: tuple[Track, Track], resolved: NDArray[np.bool_]) -> list
 
 
 def swipe_figure(tracks: tuple[Track, Track]) -> Figure:
-    """Draw echoes and contacts over time."""
+    """Draw distances of echoes and of tracked contacts over time."""
     sheet = Figure(figsize=(12, 4.5), layout="constrained")
     for axes, track in zip(sheet.subplots(1, 2, sharey=True), tracks, strict=True):
         at = np.repeat(track.times, [len(found) for found in track.candidates])

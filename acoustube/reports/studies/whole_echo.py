@@ -21,7 +21,7 @@ from acoustube.runs.opening import open_dataset
 from acoustube.runs.training import DISPLAY_UNITS
 
 CYCLE_STRIDE = 10
-"""Only every tenth cycle is used: the cycles of a press differ only by noise."""
+"""Step from one used cycle to the next: the cycles of a press differ only by noise."""
 
 
 def rows(
@@ -91,4 +91,4 @@ def _rows(model: Model, table: xr.Dataset, some: NDArray[np.bool_], which: str) 
         yield Row(quantity=f"{name}, whole echo, {which}: median relative error", unit="%",
                   ours=100 * found.relative, why=why)  # fmt: skip
         yield Row(quantity=f"{name}, whole echo, {which}: in the intervals of 90 %", unit="%",
-                  ours=100 * found.covered_wide, why="90 is stated.")  # fmt: skip
+                  ours=100 * found.covered_wide, why="The stated coverage is 90 %.")  # fmt: skip

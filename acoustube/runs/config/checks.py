@@ -21,7 +21,7 @@ CELLS_PER_WAVELENGTH = 8
 """Smallest allowed number of grid cells per wavelength of the sound."""
 
 BAND_WIDTH = 3.83
-"""Half width of a pulse's band at -70 dB, as a fraction of the carrier, times the cycles."""
+"""Half width of a pulse's band at -70 dB, times its number of cycles, over the carrier."""
 MOST_CELLS = 50_000_000
 """Largest number of cells of the acoustic grid; these take some 15 GB of memory."""
 
@@ -73,7 +73,10 @@ def check_round(tube: TubeSettings) -> None:
 
 
 def check_depth(tube: TubeSettings, indentation: IndentationSettings) -> None:
-    """Raise if the indenter passes the floor, or a closed lumen by more than half a wall."""
+    """Raise if the depth exceeds the outer diameter, or the bore plus half the wall thickness.
+
+    An elastic layer raises both limits by its thickness.
+    """
     depth, outer, bore = indentation.depth_mm, tube.outer_diameter_mm, tube.inner_diameter_mm
     gives = indentation.layer_mm or 0.0
     deepest = _round_down(bore + tube.wall_mm / 2 + gives)
@@ -94,10 +97,10 @@ def check_offset(tube: TubeSettings, press: IndentationSettings) -> None:
 
     Notes
     -----
-    A section of the indenter is flat up to ``flat`` from its axis, and then round with the radius
-    ``edge``. At first touch the centre of this rounding is ``outer + edge`` from the tube's axis.
-    The indenter misses if that centre passes beside the axis (``edge < outer``), or if it still
-    misses when its lowest point is level with the tube's bottom.
+    In section the indenter is flat up to ``flat`` from its axis, then rounded with the radius
+    ``edge``. At first contact the centre of this rounding is ``outer + edge`` from the tube's axis.
+    On the way down it is nearest to this axis at the same height if ``edge < outer``, otherwise
+    with the indenter level with the tube's bottom. If it is no nearer there, the indenter misses.
     """
     if press.offset_mm == 0 or press.depth_mm == 0:
         return
@@ -127,10 +130,10 @@ def check_offset(tube: TubeSettings, press: IndentationSettings) -> None:
 def check_position(
     tube: TubeSettings, indenter_mm: float, position: float, waves: WaveSettings
 ) -> None:
-    """Raise if the part bent by a press at a position in cm reaches the probe plane or far end."""
+    """Raise if the part deformed by a press at `position` in cm reaches probe plane or far end."""
     reach, nearest, shortest = _room(tube.outer_diameter_mm, indenter_mm, waves)
     farthest = _round_down(tube.length_cm - reach)
-    bends = f"the press takes {reach:.4g} cm of the tube on each side"
+    bends = f"the press needs {reach:.4g} cm of the tube on each side"
     if nearest > farthest:
         raise ConfigError(
             f"is too short: {bends} and the probe plane is at {waves.probe_cm:g} cm",
@@ -212,7 +215,7 @@ def check_probe(tube: TubeSettings, waves: WaveSettings) -> None:
 
 
 def check_pulse(tube: TubeSettings, waves: WaveSettings) -> None:
-    """Raise if the pulse overlaps the echo of the far end."""
+    """Raise if the pulse lasts longer than the round trip of sound to the far end."""
     pulse_ms = waves.cycles / waves.frequency_khz
     record_ms = _record_ms(tube, waves)
     if pulse_ms > record_ms:
@@ -225,12 +228,12 @@ def check_pulse(tube: TubeSettings, waves: WaveSettings) -> None:
 
 
 def check_lowpass(tube: TubeSettings, waves: WaveSettings, lowpass: float) -> None:
-    """Raise if a low-pass, in kHz, passes the rectified carrier or is too slow for the record."""
+    """Raise if a low-pass in kHz passes the rectified carrier, or is too low for the record."""
     # Rectification doubles the carrier's frequency. The filter attenuates by 48 dB two octaves
     # above its cut-off, which is therefore at most half the carrier.
     highest = waves.frequency_khz / 2
     record_ms = _record_ms(tube, waves)
-    # The filter continues the record at both ends by three periods of the cut-off.
+    # The filter extends the record at both ends by three periods of the cut-off.
     lowest = _round_up(3 / record_ms)
     if lowest > highest:
         least = shortest_tube(waves, highest)
@@ -241,7 +244,7 @@ def check_lowpass(tube: TubeSettings, waves: WaveSettings, lowpass: float) -> No
         )  # fmt: skip
     if lowpass < lowest:
         raise ConfigError(
-            f"is too slow for the {record_ms:.2f} ms of the round trip in a "
+            f"is too low for the {record_ms:.2f} ms of the round trip in a "
             f"{tube.length_cm:g} cm tube",
             setting="lowpass_khz", value=lowpass, allowed=(lowest, highest),
             advice=f"use at least {lowest:g}",
@@ -256,9 +259,9 @@ def check_lowpass(tube: TubeSettings, waves: WaveSettings, lowpass: float) -> No
 
 
 def _room(outer_mm: float, indenter_mm: float, waves: WaveSettings) -> tuple[float, float, float]:
-    """Return what a press takes of the tube on each side, its nearest position, the least length.
+    """Return the length that a press needs on each side, its least position, the least tube length.
 
-    All are in cm.
+    All are in cm. The length on each side is the deformed part and a clearance.
     """
     clearance = CLEARANCE if waves.method == "full" else JOINED_CLEARANCE
     reach = (pressed_reach(outer_mm, indenter_mm) + clearance * outer_mm) / MM_PER_CM
@@ -272,8 +275,8 @@ def usual_lowpass(waves: WaveSettings) -> float:
 
 
 def shortest_tube(waves: WaveSettings, lowpass: float) -> float:
-    """Return the least length in cm of a tube that suits the pulse and a low-pass in kHz."""
-    # A low-pass is given to two decimals, as in the advice of check_lowpass.
+    """Return the least length in cm of a tube for the pulse and for a low-pass cut-off in kHz."""
+    # The cut-off is rounded to two decimals, as in the advice of check_lowpass.
     record_ms = max(3 / _round_down(lowpass), waves.cycles / waves.frequency_khz)
     return _round_up(sound_speed(waves.temperature_c) * record_ms / (2 * MM_PER_CM))
 
@@ -291,7 +294,7 @@ def coarsest_grid(bore: float, waves: WaveSettings) -> int:
 
 
 def _highest_khz(waves: WaveSettings) -> float:
-    """Return the carrier, or for scattering matrices the end of the pulse's band, in kHz."""
+    """Return the carrier, or for scattering matrices the upper end of the pulse's band, in kHz."""
     wide = 1.0 if waves.method == "full" else 1 + BAND_WIDTH / waves.cycles
     return waves.frequency_khz * wide
 

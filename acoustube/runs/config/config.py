@@ -55,7 +55,7 @@ class Mechanics:
         if self.tube.surface is None:
             check_depth(self.tube, self.indentation)
             check_offset(self.tube, self.indentation)
-        elif self.indentation.mesh != "usual":  # its sizes are known when the surface is read
+        elif self.indentation.mesh != "usual":  # the depth is checked when the surface is read
             raise ConfigError(
                 f"applies to round tubes, not to surface = {self.tube.surface}",
                 setting="mesh", value=self.indentation.mesh, advice="use mesh usual",
@@ -137,7 +137,7 @@ SECTIONS: dict[str, type[Any]] = {
     "waves": WaveSettings,
     "signals": SignalSettings,
 }
-"""Classes of the sections by name."""
+"""Classes of the sections of settings, by name of the section."""
 
 
 Settings = TypeVar("Settings", Config, Mechanics)

@@ -13,7 +13,7 @@ from acoustube.base.foreign.documents import read_document
 from acoustube.base.names import PATH
 from acoustube.base.rules import Number, nearest
 
-if TYPE_CHECKING:  # the command line imports this module before it writes anything
+if TYPE_CHECKING:  # tomlkit is imported only where TOML is written
     from tomlkit.items import Table
 
 from acoustube.runs.config.config import SECTIONS, Config, Settings
@@ -181,7 +181,7 @@ def describe(name: str, default: Any = None) -> str:
     meaning = rule.meaning[0].upper() + rule.meaning[1:]
     if default is None:
         return f"{meaning}."
-    if isinstance(default, str):  # the choices are listed anyway
+    if isinstance(default, str):  # the help lists the choices anyway
         return f"{meaning}; default {default}."
     return f"{meaning}: {rule.allowed}; default {short(default)}."
 

@@ -22,7 +22,7 @@ MOST_RANGEFINDERS = 1000
 MOST_SAMPLES = 20000
 """Largest number of samples of a cycle."""
 LONGEST_PULSE = 5e-3
-"""Longest drive in s: the frequency step of a design does not resolve spectra of longer ones."""
+"""Longest drive in s: the frequency step of the predictions is too wide for longer ones."""
 TRANSDUCERS = "resonant", "loudspeaker"
 """Kinds of transducer."""
 WIDEST_CHIRP = 1.6
@@ -60,8 +60,8 @@ class Goal(Section):
     temperature_c : float
         Air temperature in degC.
     model_um : float
-        Standard deviation of depths in um due to errors of the forward model; 50 um is that
-        between two meshes.
+        Standard deviation of depths in um due to errors of the forward model; 50 um is the effect
+        of another mesh.
     average : int
         Number of cycles whose mean is inverted.
     """
@@ -171,14 +171,14 @@ class Variables(Section):
 
     @property
     def carrier(self) -> tuple[float, float]:
-        """Lowest and highest carrier in Hz."""
+        """Lowest and highest carrier frequency in Hz."""
         return self.carrier_khz[0] / KHZ, self.carrier_khz[1] / KHZ
 
     def chirp_carrier(self, bandwidth: float) -> tuple[float, float]:
-        """Return the lowest and highest carrier in Hz of a drive of a bandwidth in Hz.
+        """Return the lowest and highest carrier frequency in Hz of a drive with a bandwidth in Hz.
 
         The whole band of a chirp lies within the range of the carriers, so that the lowest exceeds
-        the highest for a bandwidth wider than this range. A fixed carrier stays the centre.
+        the highest for a bandwidth wider than this range. A single carrier is returned unchanged.
         """
         low, high = self.carrier
         return (low + bandwidth / 2, high - bandwidth / 2) if high > low else (low, high)
@@ -247,7 +247,7 @@ class DesignGoal:
         self._check_sizes()
 
     def bends(self, bore_mm: float, wall_mm: float) -> bool:
-        """Return whether a tube, bore and wall in mm, bends as required without kinking."""
+        """Return whether a tube (bore, wall in mm) bends to the goal's radius without kinking."""
         tube = Tube(inner_diameter=bore_mm / MM, wall_thickness=wall_mm / MM)
         return not kinks(tube, self.goal.curvature)
 

@@ -41,7 +41,7 @@ class Numbers:
         return f"{kind} within {self.each.allowed}"
 
     def check(self, name: str, value: Any) -> tuple[float, ...]:
-        """Return the values as a tuple, of a range the lowest and the highest.
+        """Return the values as a tuple: for a range, its lowest and highest value.
 
         Raises
         ------
@@ -85,7 +85,7 @@ class Words:
 
     @property
     def allowed(self) -> str:
-        """The words, joined."""
+        """The allowed words, in one phrase."""
         return f"one or more of {', '.join(self.each.options)}"
 
     def check(self, name: str, value: Any) -> tuple[str, ...]:

@@ -59,7 +59,7 @@ class TubeSettings(Section):
 
 
 class _Depth(Number):
-    """Rule of an indentation depth, of which zero is the untouched tube."""
+    """Rule of an indentation depth, where zero means the untouched tube."""
 
     @property
     def allowed(self) -> str:

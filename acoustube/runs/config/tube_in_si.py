@@ -22,5 +22,5 @@ def tube_in_si(settings: TubeSettings) -> Tube:
 def _shear_modulus(settings: TubeSettings) -> float:
     if settings.shear_modulus_mpa is not None:
         return MEGA * settings.shear_modulus_mpa
-    assert settings.shore_a is not None  # one of the two is given
+    assert settings.shore_a is not None  # shore_a or shear_modulus_mpa is given
     return shear_modulus_from_shore(settings.shore_a)

@@ -63,12 +63,12 @@ class Candidate:
 
     @property
     def transducer(self) -> str:
-        """One of :data:`acoustube.runs.config.goal.TRANSDUCERS`."""
+        """Kind of transducer, from :data:`acoustube.runs.config.goal.TRANSDUCERS`."""
         return "loudspeaker" if self.rangefinder.high_corner > 0 else "resonant"
 
     @property
     def row(self) -> dict[str, Any]:
-        """Row of the table: the sensor and its objectives, in the units that the names state."""
+        """Row of front.csv: the sensor and its objectives, in the units that the names state."""
         r, (reach, force, resolution, place) = self.rangefinder, self.objectives
         assert isinstance(r.drive, Burst | Chirp)
         return {
@@ -97,7 +97,7 @@ class Choice(NamedTuple):
     Attributes
     ----------
     transducer : str
-        One of :data:`acoustube.runs.config.goal.TRANSDUCERS`.
+        Kind of transducer, from :data:`acoustube.runs.config.goal.TRANSDUCERS`.
     quality : float
         Quality factor; 0 for a loudspeaker.
     bandwidth : float
@@ -131,7 +131,7 @@ def choices_of(design: DesignGoal) -> list[Choice]:
 
 
 def choice_of(candidate: Candidate) -> Choice:
-    """Return the choice of a candidate's electronics."""
+    """Return the electronics of a candidate, except carrier and cycles."""
     r = candidate.rangefinder
     assert isinstance(r.drive, Burst | Chirp)
     return Choice(

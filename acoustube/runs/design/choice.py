@@ -1,4 +1,4 @@
-"""Recommended sensors of a design: their errors over the tube, by cause, and robustness."""
+"""Recommended sensors of a design, their errors along the tube and by cause, and robustness."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from acoustube.waves.scattering import Complex
 PAPER = TubeSpec(7.9, 1.6, 35.0)
 """Tube of the sleeve paper."""
 WORSE = 1.25
-"""Largest rms error of force of a recommended sensor, over the least of all candidates."""
+"""Largest rms error of force of a recommended sensor, relative to the least of all candidates."""
 MAP_PLACES, MAP_FORCES = 16, 12
 """Numbers of positions and of forces of a map of errors."""
 CHANGES = {"bore": 0.05, "hardness": 5.0, "temperature": 10.0}
-"""Changes for the robustness: bore (relative), hardness in Shore A, temperature in K."""
+"""Changes, up and down, for the robustness: bore (relative), Shore A hardness, temperature in K."""
 
 
 class Map(NamedTuple):
-    """Expected errors over position and force under the first tool.
+    """Expected errors of a sensor by position and force, for the goal's first tool.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Map(NamedTuple):
     force : ndarray
         Forces in N, (n_f,).
     depth : ndarray
-        Depths in m at these forces, (n_f,); for forces above those of the press, its last depth.
+        Depths in m at these forces, (n_f,); the last computed depth for forces beyond it.
     force_error : ndarray
         Relative standard deviations of force, (n_f, n_z).
     place_error : ndarray
@@ -76,9 +76,9 @@ class Recommended(NamedTuple):
         Objectives, (4,), after a change of bore, hardness or temperature, by the change in words;
         see :func:`robustness_of`. Empty if not computed.
     ranges : dict of str to (float, float)
-        See :func:`acoustube.runs.design.parts.ranges_of`.
+        Tolerated range of each part; see :func:`acoustube.runs.design.parts.ranges_of`.
     pairs : Pairs or None
-        See :func:`acoustube.runs.design.parts.pairs_of`.
+        Errors for two presses at once; see :func:`acoustube.runs.design.parts.pairs_of`.
     """
 
     name: str
@@ -92,12 +92,12 @@ class Recommended(NamedTuple):
 
 
 def recommended(design: DesignGoal, front: Sequence[Candidate]) -> list[tuple[str, str, Candidate]]:
-    """Return names, reasons and sensors of a front: the best in force, reach and resolution.
+    """Return the best sensors of a Pareto front in force, reach and resolution.
 
-    Each sensor is the best of the candidates that meet the goal's other requirements and whose
-    error of force is at most :data:`WORSE` times the least. Without such candidates it is the best
-    of those that miss the requirements by least. No sensor is recommended twice, so that a short
-    front gives fewer than three.
+    Each is a tuple of name, reason and sensor. It is the best of the candidates that meet the
+    goal's other requirements and whose error of force is at most :data:`WORSE` times the least.
+    Without such candidates it is the best of those that come closest to them. No sensor is
+    recommended twice, so that a short front gives fewer than three.
     """
     goal, least = design.goal, min(one.objectives[1] for one in front)
 
@@ -140,7 +140,7 @@ def paper_sensor(design: DesignGoal, tubes: Sequence[PressedTube]) -> Candidate:
 
 
 def error_map(design: DesignGoal, tubes: Sequence[PressedTube], candidate: Candidate) -> Map:
-    """Return the expected errors of a sensor over position and force under the first tool."""
+    """Return the expected errors of a sensor by position and force, for the goal's first tool."""
     goal = design.goal
     place = np.linspace(goal.nearest_m, goal.reach_m, MAP_PLACES)
     force = np.geomspace(*goal.forces_n, MAP_FORCES)
@@ -165,8 +165,8 @@ def limits_of(design: DesignGoal, candidate: Candidate) -> dict[str, float]:
     """Return the contributions to the mean square error of force, as fractions by cause.
 
     Causes are the wall's hardness, the forward model, noise with unknown temperature, gain and
-    phase, errors of half wavelengths, and presses that are missed, in the ring-down, or beyond a
-    closed lumen.
+    phase, positions wrong by whole half wavelengths, and presses that are missed, lie in the
+    ring-down, or have a force beyond that of a closed lumen.
     """
     found, hardness = candidate.found, design.goal.hardness
     square = found.force**2
@@ -189,7 +189,7 @@ def limits_of(design: DesignGoal, candidate: Candidate) -> dict[str, float]:
 def robustness_of(
     design: DesignGoal, candidate: Candidate, tubes: Sequence[PressedTube], compute: Compute
 ) -> dict[str, Array]:
-    """Return a sensor's objectives with changed bore, hardness or air, calibrated for each change.
+    """Return objectives of a sensor after changes of bore, hardness or air, each time recalibrated.
 
     The result has :attr:`acoustube.runs.design.candidates.Candidate.objectives` by the change in
     words. A change to a tube that cannot be computed is left out.
@@ -239,7 +239,7 @@ def robustness_of(
 
 
 def warmed(tube: PressedTube, temperature: float) -> PressedTube:
-    """Return a tube in air of a temperature in degC; its scattering is a function of f / c."""
+    """Return a tube in air of a temperature in degC: frequencies scale with the sound speed."""
     speed = air_at(temperature).sound_speed
     at = tube.frequency * tube.sound_speed / speed
 

@@ -30,7 +30,7 @@ BAND_MARGIN = 0.04
 
 
 def front_csv(front: Sequence[Candidate]) -> str:
-    """Return the candidates of a front as a CSV table, in the order given."""
+    """Return the candidates of a Pareto front as a CSV table, in the order given."""
     text = io.StringIO()
     rows = [one.row for one in front]
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
@@ -53,12 +53,12 @@ def sensor_toml(design: DesignGoal, candidate: Candidate) -> str:
         document.add(tomlkit.comment(f"Its library: acoustube library --band {low:g} {high:g}"))
     document.add(OF_OTHERS[0], round(CM * design.goal.reach_m, 6))
     add_rangefinder(document, rangefinder)
-    document.remove("temperature_bias")  # of the sleeve paper's thermometer
+    document.remove("temperature_bias")  # by default that of the sleeve paper's thermometer
     return tomlkit.dumps(document)
 
 
 def library_band(drive: Chirp) -> tuple[float, float]:
-    """Return lowest and highest frequency in kHz of a chirp's library, for air within some 20 K."""
+    """Return the band in kHz of a library for a chirp, in air within some 20 K of the library's."""
     half = (1 + BAND_MARGIN) * CHIRP_BAND * drive.bandwidth
     low, high = drive.frequency - half, drive.frequency + half
     return round(KHZ * low * (1 - BAND_MARGIN), 1), round(KHZ * high * (1 + BAND_MARGIN), 1)

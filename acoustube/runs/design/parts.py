@@ -16,9 +16,9 @@ from acoustube.runs.design.candidates import Candidate, choice_of, suits
 from acoustube.runs.design.search import contacts_of, known_of, modulus_of
 
 WORSE = 1.1
-"""Largest factor by which the penalised error of force may grow within the range of a part."""
+"""Largest factor by which the penalised error of force may grow within a part's range."""
 FACTORS = np.geomspace(0.5, 2.0, 141)
-"""Factors of a part's value that are tried."""
+"""Factors by which the value of a part is multiplied in turn."""
 HARDNESSES = np.arange(-15.0, 15.1, 1.0)
 """Changes of the wall's hardness in Shore A that are tried."""
 

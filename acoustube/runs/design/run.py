@@ -42,7 +42,7 @@ ASSUMED = (
     ("Presses are computed on the coarse mesh; clutter that calibration leaves is not included."),
     (
         "Level, noise and ring-down of the electronics are those of the default rangefinder at "
-        "every carrier; of a loudspeaker those of acoustube.ranging.LOUDSPEAKER."
+        "every carrier, and with a loudspeaker those of acoustube.ranging.LOUDSPEAKER."
     ),
 )
 """Assumptions of the predictions."""
@@ -74,7 +74,7 @@ class Designed(NamedTuple):
 
     @property
     def notes(self) -> list[str]:
-        """Sentences: warnings, and assumptions of the predictions."""
+        """Warnings and assumptions of the predictions, one sentence each."""
         found = []
         if all(one.shortfalls(self.design) for one in self.front):
             found.append(
@@ -103,7 +103,7 @@ def run_design(
     report: Reporter = SILENT,
     workers: int | None = None,
 ) -> Designed:
-    """Search for the sensors of a goal.
+    """Search for sensors that meet a goal.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def _searched(
 
 
 def _pressed_as(design: DesignGoal, spec: TubeSpec) -> TubeSpec:
-    """Return the tube whose presses are used for a tube: on a table at the reference hardness."""
+    """Return the tube whose presses serve for `spec`: on a table one of the reference hardness."""
     return spec._replace(shore=REFERENCE_SHORE_A) if design.goal.support == "table" else spec
 
 

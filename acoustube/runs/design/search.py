@@ -1,4 +1,4 @@
-"""Search for tubes and electronics: a pattern search over tubes, a grid and gradients for each."""
+"""Search for sensors: pattern search over tubes, and grid and gradients over their electronics."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from acoustube.tube import shear_modulus_from_shore
 CONTACTS = 32
 """Number of contacts that are drawn from a goal, always the same ones."""
 STEPS = {"bore": 0.5, "wall": 0.25, "shore": 5.0}
-"""Steps in mm and Shore A of the lattice of tubes, which are not made in smaller steps."""
+"""Steps of the lattice of tubes, in mm and Shore A: tubes are not manufactured in smaller steps."""
 WIDEST = 4
 """First step of the pattern search, in steps of the lattice; later steps are halved down to 1."""
 CARRIERS, PULSES, HARDNESSES = 14, 5, 5
@@ -71,7 +71,7 @@ def modulus_of(design: DesignGoal, shore: float) -> float:
 def known_of(
     design: DesignGoal, tubes: Sequence[PressedTube], shore: float, contacts: Contacts | None = None
 ) -> Information:
-    """Return the Fisher information on a goal's contacts, for tubes of a hardness.
+    """Return the Fisher information on a goal's contacts, for a tube of a given hardness.
 
     Parameters
     ----------
@@ -124,12 +124,12 @@ class Search:
     tubes: dict[TubeSpec, list[PressedTube]] = field(default_factory=dict)
 
     def run(self) -> Candidate | None:
-        """Search until no neighbouring tube is better, or there are as many as allowed.
+        """Search until no neighbouring tube is better, or `most` tubes have been tried.
 
         Returns
         -------
         Candidate or None
-            Candidate of the best score; None if no tube could be computed.
+            Candidate with the lowest score; None if no tube could be computed.
         """
         self._try(self._first())
         step = WIDEST
@@ -165,7 +165,7 @@ class Search:
         return room and self.design.bends(spec.bore, spec.wall)
 
     def _first(self) -> list[TubeSpec]:
-        """Return the first tubes: a third of the largest number, spread evenly."""
+        """Return the first tubes: up to a third of the allowed number, spread evenly."""
         values = list(self.axes().values())
         draws = qmc.Sobol(3, seed=self.seed).random_base2(max(8 * self.most - 1, 63).bit_length())
         places = [
@@ -174,7 +174,7 @@ class Search:
             for row in draws
         ]  # fmt: skip
         fitting = dict.fromkeys(spec for spec in places if self._fits(spec))
-        if not fitting:  # a narrow choice
+        if not fitting:  # narrow ranges, in which no drawn tube fits
             lattice = [TubeSpec(*map(float, row)) for row in itertools.product(*values)]
             fitting = dict.fromkeys([next(filter(self._fits, lattice), lattice[0])])
         return list(fitting)[: max(self.most // 3, 1)]
@@ -230,10 +230,10 @@ def candidates_of(
 
 
 def _grid(design: DesignGoal, spec: TubeSpec, known: Information) -> list[Candidate]:
-    """Return the candidates of a tube and a grid of electronics."""
+    """Return the candidates with one tube, and with electronics on a grid."""
     free, choices = design.variables, []
     cycles = np.geomspace(*free.cycles, PULSES if np.ptp(free.cycles) else 1)
-    cycles = np.unique(np.round(2 * cycles) / 2)  # whole half periods
+    cycles = np.unique(np.round(2 * cycles) / 2)  # rounded to half periods
     for choice in choices_of(design):
         ends = free.chirp_carrier(choice.bandwidth)
         carriers = np.geomspace(*ends, CARRIERS if np.ptp(ends) else 1)

@@ -34,9 +34,9 @@ ROWS = 16
 INTO_LAYER = 0.4
 """Additional depth on a soft layer, as a fraction of its thickness."""
 MARGIN = 0.85, 1.15
-"""Ends of the computed band: the lowest over the lowest carrier, the highest over the highest."""
+"""Lowest computed frequency over the lowest carrier, and highest over the highest carrier."""
 CHIRP_MARGIN = 0.61
-"""Half width of the computed band of a chirp, in bandwidths; a little over the inversion's."""
+"""Half width of the computed band of a chirp over its bandwidth; a little above the inversion's."""
 
 
 class TubeSpec(NamedTuple):
@@ -162,7 +162,7 @@ def sounded(plan: ToolPlan) -> Done[Sounded]:
 def pressed_tubes(
     spec: TubeSpec, tools: Sequence[float], found: Sequence[Sounded]
 ) -> list[PressedTube]:
-    """Return a tube under each tool, of a diameter in mm, from the arrays in the same order."""
+    """Return a tube's presses by tools of diameters in mm, from the arrays in the same order."""
     return [
         PressedTube(
             radius=spec.bore / 2 / MM, diameter=tool / MM, depth=one.depth, force=one.force,

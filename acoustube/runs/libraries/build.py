@@ -48,13 +48,14 @@ GOOD_SHARE = 0.75
 """Fraction of the frequencies at which the estimated error of a matrix must be small. The estimate
 leaves out losses, and is therefore far too large within half a kilohertz of a trapped mode."""
 GAIN_OF_BISECTION = 6.0
-"""Factor by which bisection reduces the error of cubic splines, 16 for the smoothest functions."""
+"""Assumed factor by which bisection of an interval reduces the interpolation error of a cubic
+spline; it is 16 for the smoothest functions."""
 REACH = 8
 """Number of depths on each side of a left-out depth from which its scattering is interpolated."""
 WIDEST_GAP = 1.6
-"""Widest gap that failed depths may leave, relative to the largest step of the first depths."""
+"""Widest gap that failed depths may leave, relative to the largest step before bisection."""
 FINEST = 1 / 32
-"""Smallest step of depth, relative to the smallest step of the first depths."""
+"""Smallest step of depth, relative to the smallest step before bisection."""
 USUAL_DEPTHS = 3.0
 """Ratio of final to first number of depths of a tool, for estimates of time."""
 
@@ -140,10 +141,10 @@ class Refinement:
         return next((self.failed[d] for d in sorted(self.failed) if d > last), "")
 
     def next(self) -> list[float]:
-        """Return the next level of depths in m, once all of this level are known; none at the end.
+        """Return the depths in m of the next level of bisection; none at the end.
 
-        These are the middles of all intervals at first, then of those in which the error of
-        interpolation exceeds the tolerance.
+        To be called once all depths of the current level are known. The new depths are the middles
+        of all intervals at first, then of those whose interpolation error exceeds the tolerance.
         """
         depths = self.depths
         if len(depths) < FEWEST_DEPTHS:
@@ -161,9 +162,9 @@ class Refinement:
     def between(self) -> Array:
         """Return the expected error of interpolation between each depth and the next, (n - 1,).
 
-        By leave-one-out cross-validation; inf if there are too few depths for it. The error at a
-        depth that is left out grows with the product of the squared distances to its neighbours.
-        The error in the middle of an interval grows with the fourth power of the interval's length.
+        It is estimated by leave-one-out cross-validation; inf if there are too few depths. The
+        error at a depth that is left out is taken as proportional to the product of the squared
+        distances to its neighbours, that in an interval to the fourth power of its length.
         """
         depths = np.array(self.depths)
         known = np.array([self.known[d].s[:, :, :1, :, :1] for d in self.depths])
@@ -204,7 +205,7 @@ def build_library(
     workers: int | Workers | None = None,
     executor: Executor | None = None,
 ) -> bool:
-    """Compute the tools that a folder lacks.
+    """Compute the tools of a library that its folder lacks.
 
     Parameters
     ----------
@@ -321,11 +322,11 @@ class _Builder:
         return Task(press_rows, (self.plan,), then, self._failed("press", cost), cost)
 
     def _scatter(self, depths: Sequence[float]) -> list[Task]:
-        """Return the tasks of a level of depths."""
+        """Return the tasks that compute the scattering at one level of depths in m."""
         assert self.path is not None
         n, cost = self.board.totals["scattering"]
         short = len(self.refinement.known) + len(depths) - self.expected
-        if short > 0:  # finer than is usual
+        if short > 0:  # more depths than expected
             self.expected += short
             more = short * spectral_seconds(self.plan.settings)
             self.board.totals["scattering"] = (n + short, cost + more)
@@ -365,7 +366,7 @@ class _Builder:
         return []
 
     def _tool(self) -> Tool:
-        """Return the tool at the depths computed."""
+        """Return the tool with its scattering at the computed depths."""
         assert self.path is not None
         settings, refinement = self.plan.settings, self.refinement
         depths = np.array(refinement.depths)

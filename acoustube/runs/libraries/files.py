@@ -62,7 +62,7 @@ def write_tool(path: Path, tool: Tool, plan: ToolPlan) -> None:
 
 def to_dataset(tool: Tool, plan: ToolPlan) -> xr.Dataset:
     """Return a tool as a dataset, with version, tube and settings as attributes."""
-    import xarray as xr  # which reading does without
+    import xarray as xr  # not needed for reading
 
     dims = "depth frequency port_out mode_out port_in mode_in"
     what = "scattering coefficient, power-normalised; zero where a mode does not propagate"
@@ -161,12 +161,12 @@ def open_library(path: str | Path) -> Library:
     Raises
     ------
     ConfigError
-        If there is no library, a file is damaged, or the tools do not go together.
+        If there is no library, a file is damaged, or the tools are not of one tube, band and air.
     """
     import h5netcdf  # not xarray, which takes 75 MB more with pandas
 
     found = Path(path)
-    with reading(found, "cannot be opened", ADVICE):  # a folder on the way may be locked
+    with reading(found, "cannot be opened", ADVICE):  # a parent folder may be unreadable
         if not found.exists():
             raise ConfigError(f"{path} does not exist; {ADVICE}")
         files = sorted(found.glob(PATTERN)) if found.is_dir() else [found]

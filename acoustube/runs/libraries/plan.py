@@ -28,7 +28,7 @@ temperatures up to 25 K from the library's."""
 WIDEST_STEP = 1 / 16
 """Largest step of the depths of a press, in bore diameters: closer shapes can be interpolated."""
 ROUNDING = 1e-9
-"""Multiple in m to which depths are rounded, so that equal ones have equal names."""
+"""Multiple in m to which depths are rounded, so that equal depths have equal file names."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class ToolPlan:
     settings : SISettings
         These settings in SI units.
     pressed : tuple of float
-        Depths of the press in m, from near first contact.
+        Depths of the press in m, the first of them near first contact.
     first : tuple of float
         Depths in m at which scattering is computed first.
     tolerance : float
@@ -154,7 +154,7 @@ def _tool(path: LoadPath, tolerance: float, band: tuple[float, float] | None) ->
 
 
 def _divided(depths: Array, widest: float) -> Array:
-    """Return rising depths in m, with more of them where the step exceeds `widest`, rounded."""
+    """Return rising depths in m, rounded, with steps above `widest` divided into equal ones."""
     parts = [
         np.linspace(a, b, ceil((b - a) / widest - 1e-6) + 1)[:-1]
         for a, b in itertools.pairwise(depths)

@@ -141,16 +141,16 @@ def _resampled(recordings: Mapping[SourceEnd, Recording]) -> Any:
 LABELS: dict[str, tuple[str, str, Callable[[SISettings], Any]]] = {
     "diameter": ("m", "diameter of the indenter", lambda s: s.indenter.diameter),
     "shape": ("1", "shape of the indenter", lambda s: s.indenter.shape),
-    "support": ("1", "what the tube rests on", lambda s: s.support),
+    "support": ("1", "support of the tube", lambda s: s.support),
     "depth": ("m", DEPTH, lambda s: s.depth),
     "true_distance": ("m", "distance of the press from the source end", lambda s: s.position),
-    "inner_diameter": ("m", "bore of the tube", lambda s: s.tube.inner_diameter),
-    "wall_thickness": ("m", "wall of the tube", lambda s: s.tube.wall_thickness),
+    "inner_diameter": ("m", "diameter of the bore", lambda s: s.tube.inner_diameter),
+    "wall_thickness": ("m", "thickness of the wall", lambda s: s.tube.wall_thickness),
     "tube_length": ("m", "length of the tube", lambda s: s.tube.length),
     "shear_modulus": ("Pa", "shear modulus of the wall", lambda s: s.tube.shear_modulus),
     "temperature": ("degC", "temperature of the air", lambda s: s.temperature),
     "carrier_frequency": ("Hz", "carrier of the pulse", lambda s: s.pulse.frequency),
-    "chosen_source_end": ("1", "the source end that was asked for", lambda s: s.source_end),
+    "chosen_source_end": ("1", "source end that the settings select", lambda s: s.source_end),
 }
 """Labels of a case in SI units and degC: unit, description, and its value in the settings."""
 

@@ -59,7 +59,7 @@ def _lengths(cases: Sequence[Case]) -> float:
 
 
 def cached(paths: Sequence[LoadPath]) -> tuple[int, int, float]:
-    """Return the numbers of cached load paths and matrices, and the time in s of all the rest."""
+    """Return the numbers of cached load paths and matrices, and the time in s of all others."""
     n_paths = n_matrices = 0
     cost = 0.0
     for path in paths:

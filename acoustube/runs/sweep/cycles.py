@@ -29,19 +29,19 @@ from acoustube.runs.sweep.case_results import placed
 from acoustube.runs.sweep.plan import digest, tube_name
 
 PLAIN = ("offset",)
-"""Parameters whose variation is that of the value; for the others it is that of the logarithm."""
+"""Parameters whose values are normally distributed over sessions; of others the logarithms are."""
 SPREAD = ("resonance", "quality_factor", "gain", "send", "noise", *PLAIN)
 """Parameters of the rangefinder that may vary from session to session."""
 LONGEST_SESSION = 72_000
-"""Number of cycles of a session of an hour, over which its cases are distributed."""
+"""Number of cycles of a session of one hour; its cases begin at random cycles of this hour."""
 SIGNAL_CHUNK = 64
-"""Number of cycles in a chunk of the file."""
+"""Number of cycles in a chunk of the signal in the file."""
 CARRIED = {
     "true_distance": "m", "depth": "m", "force": "N", "diameter": "m", "shape": "1",
     "lumen_area": "m2", "lumen_height": "m", "inner_diameter": "m", "wall_thickness": "m",
     "shear_modulus": "Pa", "tube_length": "m", "carrier_frequency": "Hz",
 }  # fmt: skip
-"""Labels that a cycle has from its case, with their units."""
+"""Labels that a cycle takes from its case, with their units."""
 SINCE = "time; the drive starts at zero, or at the trigger of a twin"
 """Description of the time axis of cycles."""
 
@@ -73,12 +73,12 @@ class Recipe:
         Parameters of the rangefinder, and their standard deviations over the sessions: of the value
         for those in :data:`PLAIN`, of the logarithm for the others.
     clutter_spread : float
-        Power in 1/m of the changes of the given irregularities from session to session.
+        Variance per metre of the changes of `reflectors` from session to session, in 1/m.
     young_modulus : float or None
         Young's modulus of the wall in Pa, to which forces and moduli of the labels are scaled; None
         for that of the sweep.
     trigger : float
-        Time in s at which the drive starts; the cycles begin by the rangefinder's lead before it.
+        Time in s at which the drive starts; cycles begin earlier by the rangefinder's ``lead``.
     """
 
     n_cycles: int = 50
@@ -130,7 +130,7 @@ class Recipe:
             words += [self.offset_deviation, *self.reflectors]
         if self.spread or self.clutter_spread or self.young_modulus is not None:
             words += [self.spread, self.clutter_spread, self.young_modulus]
-        # Cycles with a lead began at time zero once: they get another name.
+        # In earlier versions cycles with a lead began at time zero: present ones need another name.
         if self.trigger != 0 or (self.rangefinder is not None and self.rangefinder.lead > 0):
             words += ["trigger", self.trigger]
         return digest(words)
@@ -195,7 +195,7 @@ def record_one(name: str, path: Path, recipe: Recipe) -> xr.Dataset:
 
 @lru_cache(maxsize=64)
 def _opened(path: Path) -> tuple[xr.Dataset, StoredScattering | None]:
-    """Return cases and scattering of a sweep's file; in memory, as cases are taken one by one."""
+    """Return cases and scattering of a sweep's file, in memory: cases are taken one by one."""
     data, matrix = store.read(path)
     return data.drop_vars("pressure"), None if matrix is None else from_dataset(matrix)
 
@@ -274,7 +274,7 @@ def _of_all_sessions(rangefinder: Rangefinder, recipe: Recipe) -> Rangefinder:
 
 
 def _with_modulus(cycles: xr.Dataset, settings: SISettings, modulus: float | None) -> xr.Dataset:
-    """Return cycles with force and shear modulus of a wall of a Young's modulus in Pa."""
+    """Return cycles with labels force and shear_modulus scaled to a Young's modulus in Pa."""
     if modulus is None:
         return cycles
     if settings.layer is not None:
@@ -295,8 +295,7 @@ def _labelled(
 ) -> xr.Dataset:
     """Return cycles with the labels of their case, and the names of case, tube and session.
 
-    They begin at the time `start` in s.
-    Without a press, true_distance and diameter are nan.
+    They begin at the time `start` in s. Without a press, true_distance and diameter are nan.
     """
     n = cycles.sizes["cycle"]
     labels = {
@@ -306,7 +305,7 @@ def _labelled(
     }
     if settings.depth == 0:
         labels |= {
-            label: variable("cycle", np.full(n, np.nan), "m", "of no press")
+            label: variable("cycle", np.full(n, np.nan), "m", "nan, as nothing presses")
             for label in ("true_distance", "diameter")
         }
     labels["air_temperature"] = variable(

@@ -34,12 +34,12 @@ from acoustube.runs.sweep.run import run_with_progress
 from acoustube.runs.sweep.workers import WORKERS, Task, Workers, count_of
 
 RECIPE, CARD = "dataset.json", "README.md"
-"""Names of the files with the recipe and with the card."""
+"""Names of the files with the recipe and with the dataset card."""
 DRIVES: dict[str, type[Any]] = {"Burst": Burst, "Chirp": Chirp, "Tones": Tones}
 """Types of drive by their names in files."""
 CYCLES_PER_FILE = 5000
 SECONDS_PER_CASE, SECONDS_PER_CYCLE, BYTES_PER_CYCLE = 0.08, 1e-3, 2500.0
-"""Time in s and bytes of simulated cases and cycles, measured on one idle core, for estimates."""
+"""Estimates: computing time in s of a case and of a cycle on one idle core, bytes of a cycle."""
 SECONDS_TO_START = 3.0
 """Time in s in which a worker process starts and imports the package."""
 RANGES = {
@@ -78,8 +78,8 @@ each case in the sweep.
 ## How to use it
 
 `acoustube.open_dataset(FOLDER)` opens it lazily as one `xarray.Dataset`; `signal` holds counts of
-the ADC (cycle, time). Split by `tube` or `session`, not by cycle: those of one case are alike but
-for noise. Labels are exact; `temperature` is what the board reports, `air_temperature` the truth.
+the ADC (cycle, time). Split by `tube` or `session`, not by cycle: cycles of one case are nearly
+equal. Labels are exact; `temperature` is what the board reports, `air_temperature` the true value.
 
 ## What it is not
 

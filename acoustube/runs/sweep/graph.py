@@ -25,7 +25,7 @@ REFERENCE_TEMPERATURES = (-15.0, 20.0, 50.0)
 BAND_STEP = 1e3
 """Multiple in Hz to which band edges are rounded outwards, so that similar pulses share a band."""
 BURST_CYCLES = 11
-"""Cycles of a pulse with the default rangefinder's band, which longer pulses are given too."""
+"""Cycles of a pulse with the band of the default rangefinder; longer pulses are given this band."""
 CASE_SETTINGS = {"tube": ("length_cm",), "indentation": ("depth_mm", "position_cm", "steps")}
 """Settings by section on which a load path does not depend."""
 

@@ -208,7 +208,7 @@ def _sampled(plan: Plan) -> dict[str, Any]:
 
 
 def _places(share: Any, count: int) -> Any:
-    """Return the numbers, from 0, of the equal parts of 0 to 1 in which shares lie."""
+    """Return the indices of the `count` equal parts of [0, 1] in which the values `share` lie."""
     import numpy as np
 
     return np.minimum((share * count).astype(int), count - 1)

@@ -21,7 +21,7 @@ Values = tuple[Any, ...]
 
 @dataclass(frozen=True)
 class Interval:
-    """Range of a setting, in the unit of its name, from which a random plan draws values."""
+    """Range from which a random plan draws a setting, in the unit stated by the setting's name."""
 
     low: float
     high: float
@@ -104,7 +104,7 @@ def _range(name: str, word: str) -> list[float]:
 def _number(name: str, word: str, part: str) -> Fraction:
     """Return a number exactly; raise if it exceeds the range of a float."""
     try:
-        if re.search(r"e[+-]?[\d_]{4}", part, re.IGNORECASE):  # may fill the memory
+        if re.search(r"e[+-]?[\d_]{4}", part, re.IGNORECASE):  # would fill the memory
             raise OverflowError
         number = Fraction(part.strip())
         float(number)

@@ -10,7 +10,7 @@ from acoustube.runs.sweep.costs import case_cost, matrix_cost, path_cost
 from acoustube.runs.sweep.graph import LoadPath
 
 PRIOR_SECONDS = 60.0
-"""Work in s after which measured and expected times have equal weight."""
+"""Expected time in s of finished tasks at which measured and expected times have equal weight."""
 
 
 # Number of the tasks of each stage, and their total expected time in s.
@@ -70,7 +70,7 @@ class Board:
         """Return the expected time left in words.
 
         The expected time is scaled by the ratio of measured to expected time up to the last
-        finished task. From then on it decreases with time, to half at most.
+        finished task. Until the next task is finished it decreases with time, to half at most.
         """
         measured = self.counted - self.started
         scale = (measured + PRIOR_SECONDS) / (self.spent / self.workers + PRIOR_SECONDS)

@@ -162,7 +162,7 @@ def run_with_progress(
     ----------
     tasks : iterable of Task
     board : Board
-        Progress display, which is refreshed regularly and so raises an interrupt that was lost.
+        Progress display; refreshing it also raises a keyboard interrupt that a library suppressed.
     workers : int, Workers or None
         Processes of this machine, unless there is an executor.
     executor : concurrent.futures.Executor, optional

@@ -17,7 +17,7 @@ from acoustube.waves import Recording
 
 
 def chosen(cases: xr.Dataset) -> xr.Dataset:
-    """Return the cases at the source end that each selects, with ``amplitude`` and ``error``.
+    """Return the cases at the source end of their settings, with ``amplitude`` and ``error``.
 
     The error is that of the estimated distance in m, nan for an untouched tube.
     """
@@ -36,7 +36,7 @@ def by_tool(cases: xr.Dataset) -> Iterator[tuple[str, xr.Dataset]]:
 
 
 def usual(cases: xr.Dataset) -> xr.Dataset:
-    """Return the cases that differ in depth alone, for the other settings with the most depths."""
+    """Return the largest set of cases that differ in depth alone."""
     keys = []
     for text in cases["configuration"].values:
         settings = json.loads(str(text))

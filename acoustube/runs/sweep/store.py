@@ -1,4 +1,4 @@
-"""Folder of a sweep: result files, which are never incomplete, failures, and the plan.
+"""Folder of a sweep: complete result files, records of failures, and the plan.
 
 A file of results has the hash of its cases' names in its name, and the hash of its content inside.
 Nothing is written twice, so that any number of sweeps may write to one folder.
@@ -34,11 +34,11 @@ PLAN = "sweep.toml"
 FAILURES = "failed"
 """Name of the folder with a JSON file for each failed case."""
 SHARD = re.compile(r"cases-[0-9a-f]{32}\.nc")
-"""Names of files of results."""
+"""Pattern of the names of result files."""
 SCATTERING = "scattering"
-"""Group of a results file with the scattering matrix of its press."""
+"""netCDF group of a results file with the scattering matrix of its press."""
 WALLS = "walls"
-"""Group of a results file with the walls of its pressed tube; not every file has it."""
+"""netCDF group of a results file with the walls of its pressed tube; not every file has it."""
 OPENING: dict[str, Any] = {"engine": "h5netcdf", "phony_dims": "access"}
 """Arguments of xarray.open_dataset, which allow for axes without a name in a damaged file."""
 ABANDONED = 3600.0
@@ -159,7 +159,7 @@ def lacks_scattering(path: Path) -> bool:
 
 
 def sound_of(path: Path) -> tuple[bytes, ...]:
-    """Return bore, air, carrier and scattering's frequencies of a file, as bytes to compare."""
+    """Return bore, temperature, carrier and matrix frequencies of a file, as bytes to compare."""
     import h5py
 
     names = "inner_diameter", "temperature", "carrier_frequency", f"{SCATTERING}/frequency"
@@ -301,7 +301,7 @@ def record_failure(folder: Path, name: str, reason: str, configuration: Mapping[
         "when": datetime.now(UTC).isoformat(timespec="seconds"),
         "acoustube_version": __version__,
     }
-    with contextlib.suppress(OSError):  # writing the file reports why
+    with contextlib.suppress(OSError):  # writing the file reports the reason
         (folder / FAILURES).mkdir(exist_ok=True)
     _put(folder / FAILURES / f"{name}.json", json.dumps(content, indent=1) + "\n")
 

@@ -89,7 +89,7 @@ def untouched(settings: SIPress) -> Pressed:
 def press(settings: SIPress, depths: Sequence[float]) -> Done[PressPath]:
     """Press a tube to several depths, or read the press from the cache.
 
-    Depths that cannot be reached, or whose lumen cannot be straightened, stop no other.
+    Depths that cannot be reached, or whose lumen cannot be straightened, do not affect the others.
 
     Parameters
     ----------

@@ -94,7 +94,7 @@ def _reach(address: str) -> None:
 SCHEDULER_TIMEOUT = 10.0
 """Seconds in which a scheduler has to answer."""
 ATTEMPTS = 3
-"""Number of lost workers with which a task fails."""
+"""Number of lost workers at which a task counts as failed."""
 POLL_INTERVAL = 0.2
 """Seconds between polls of the workers."""
 GONE = "the workers or their scheduler are gone; start them and run the same command again"
@@ -294,13 +294,13 @@ def _hand_over(
         except BrokenExecutor:
             waiting.appendleft(task)
             return False
-        except RuntimeError as error:  # it was shut down
+        except RuntimeError as error:  # the pool was shut down
             raise SimulationError(GONE) from error
     return True
 
 
 def _again(task: Task, waiting: deque[Task], lost: Counter[Task]) -> None:
-    """Queue a task that has lost its worker again; let it fail after ATTEMPTS lost workers."""
+    """Queue again a task that has lost its worker; it fails after ATTEMPTS lost workers."""
     lost[task] += 1
     if lost[task] < ATTEMPTS:
         waiting.appendleft(task)

@@ -156,7 +156,7 @@ def _shortened(triangles: Array, step: float) -> tuple[Array, Indices]:
     z = triangles[..., 2]
     length = float(z.max())
     n_layers = int(np.ceil(length / step + 0.5 - SNAP))
-    # The normal of a facet along the axis has exactly no z component: its coordinates repeat.
+    # A facet of a straight end has a normal without z component, exactly, as its x, y repeat.
     (ux, uy), (vx, vy) = ((triangles[:, i, :2] - triangles[:, 0, :2]).T for i in (1, 2))
     cap = np.all(z == z[:, :1], axis=1) & ((z[:, 0] == z.min()) | (z[:, 0] == length))
     shaped = z[(ux * vy - uy * vx != 0.0) & ~cap]

@@ -65,8 +65,9 @@ def cut_polyhedron(
     Notes
     -----
     With a_i the x component of the vector area of the wall inside cell i and m_i its first
-    moment about the cell's lower face, both in grid units, the divergence theorem gives
-    open_i = open_{i+1} + a_i and V_i = open_{i+1} + m_i; likewise for y and z.
+    moment about the cell's lower x face, both in grid units, the divergence theorem gives the open
+    area of that face, open_i = open_{i+1} + a_i, and the volume V_i = open_{i+1} + m_i. The areas
+    of y and z faces follow likewise.
     """
     grid = (np.asarray(triangles, dtype=float) - np.asarray(origin)) / np.asarray(spacing)
     nearest = np.rint(grid)
@@ -135,7 +136,7 @@ def _clip(triangles: Array, lower: Array, axis: int) -> Array:
 
 
 def _oriented(a: Array, b: Array, c: Array, odd: NDArray[np.bool_]) -> Array:
-    """Return triangles, turned where sorting the corners reversed their orientation."""
+    """Return triangles, with corners b and c exchanged where sorting reversed the orientation."""
     flip = odd[:, None]
     return np.stack([a, np.where(flip, c, b), np.where(flip, b, c)], axis=1)
 

@@ -64,8 +64,9 @@ def share_small_volumes(cells: CutCells) -> CutCells:
     straight tube they stay equal, and plane waves stay plane.
 
     The table gives relative errors of the cut-ons of a circular cross-section at 16, 32 and 64
-    cells per diameter, the worst of five (borrow: six) positions of its centre within a cell, with
-    ratios of faces to volume in the plane; the step is the smallest, relative to an uncut grid's:
+    cells per diameter, with ratios of faces to volume in two dimensions. They are the largest of
+    five (borrow: six) positions of its centre within a cell. The step is the smallest stability
+    limit of the time step, relative to an uncut grid's:
 
     ==================== ===================== ===================== ===== ==========
     rule                 (1,1) error %         (2,1) error %         order step

@@ -24,10 +24,9 @@ class BoreModes:
     zeros : ndarray
         Zeros j'mn of the Bessel functions' derivatives: cut-on wavenumbers times radius, (n,).
     x, across, twist : ndarray
-        X, Y and M of :mod:`acoustube.waves.bends`, (n, n), in units of the bore's radius.
+        Matrices X, Y and M of the equations in :mod:`acoustube.waves.bends`, (n, n).
     flattening : ndarray
-        Derivatives of the squared cut-on wavenumbers with respect to the ovality (`bends.Bent`), in
-        units of the inverse squared radius, (n,).
+        Derivatives of the squared cut-on wavenumbers by the ovality (`bends.Bent`), (n,).
     """
 
     names: tuple[str, ...]

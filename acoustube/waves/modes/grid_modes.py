@@ -3,15 +3,16 @@
 A straight part of the grid repeats one layer of cells, whose axial faces have the open fractions of
 its volumes. The modes of the layer then propagate without coupling: the amplitude of each obeys the
 scheme of a single line of cells. With Omega = omega dt, theta the phase per layer, nu = c dt / dz,
-k^2 the layer's eigenvalue in 1/s2 times dt^2, s = 4 sin^2(Omega/2) and X = 4 sin^2(theta/2),
+k^2 the layer's eigenvalue in 1/s2 times dt^2, beta the coefficient of the axial correction of
+:mod:`acoustube.waves.scheme.operator`, s = 4 sin^2(Omega/2) and X = 4 sin^2(theta/2),
 
     s (1 + kappa h) = b (k^2 (1 - d h) + nu^2 X (1 + beta X) (1 - d_z h)).
 
-h is the transfer function from the pressure to its half-integral; kappa, d and d_z are coefficients
-of the losses at the wall, to first order in the boundary layers, and b is the factor of the air's
-absorption. Without losses, in a section symmetric about x = 0, this dispersion relation is exact
-on the grid: ingoing and outgoing waves can be separated, or moved to another plane, without an
-error of discretisation.
+h is the transfer function from the pressure to its fractional integral of order 1/2; kappa, d and
+d_z are coefficients of the losses at the wall, to first order in the boundary layers, and b is the
+factor of the air's absorption. Without losses, in a section symmetric about x = 0, this dispersion
+relation is exact on the grid: ingoing and outgoing waves can be separated, or moved to another
+plane, without an error of discretisation.
 """
 
 from __future__ import annotations
@@ -88,8 +89,8 @@ def duct_modes(
     whole : bool
         Whether the grid is that of the whole tube, rather than of the half x > 0.
     odd : bool
-        Whether the scheme of a half is that of the modes antisymmetric about x = 0, with zero
-        pressure there; without effect for a whole tube.
+        Whether the scheme of a half is that of the antisymmetric modes, with zero pressure on
+        x = 0; without effect for a whole tube.
 
     Returns
     -------
@@ -100,8 +101,8 @@ def duct_modes(
     operator = scheme.operator
     mass = filled[filled > 0]
     stiffness = _across(operator, layer, filled > 0)
-    # By symmetry, which separates degenerate pairs. The triangles of an end may differ slightly
-    # from their mirror images, and would turn a pair by any angle.
+    # Each symmetry alone, which separates degenerate pairs: the slight asymmetry of the triangles
+    # of an end would rotate the modes of a pair by any angle.
     sides = (False, True) if whole else (odd,)
     found = [
         _eigenmodes(stiffness, mass, _symmetric(filled, side) if whole else sp.identity(mass.size))
@@ -133,7 +134,7 @@ def duct_modes(
 def _symmetric(filled: Array, odd: bool) -> sp.csr_matrix:
     """Return a basis of the pressures of one symmetry about x = 0, (n_cells, n).
 
-    A sliver without an open mirror image belongs to the bases of both symmetries.
+    An open cell whose mirror image is closed belongs to the bases of both symmetries.
     """
     inside = filled > 0
     number = np.where(inside, np.cumsum(inside).reshape(inside.shape) - 1, -1)
@@ -169,7 +170,7 @@ def _signs(vectors: Array, inside: NDArray[np.bool_], whole: bool) -> Array:
 
 
 def _across(operator: Operator, layer: int, inside: NDArray[np.bool_]) -> sp.csr_matrix:
-    """Return the matrix of an operator across one layer, over its open cells."""
+    """Return the stiffness matrix (n, n) of an operator in one layer, of its n open cells."""
     faces = operator.area_x[:, :, layer], operator.area_y[:, :, layer]
     return section_stiffness(*faces, inside)
 

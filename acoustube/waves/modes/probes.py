@@ -174,10 +174,10 @@ def launching(setup: Setup, wave: Array, mode: str, air: Air) -> tuple[Setup, Ar
 
     Notes
     -----
-    A unit source in a layer radiates exp(-i theta n) / (i slope) over n layers in both directions,
-    with theta and slope of `grid_modes.Phases`. The increments are the wave divided by this
-    response at each frequency; at the cut-on, where the slope vanishes, they vanish too. The source
-    layer and its neighbours also have a near field of a few per cent.
+    The response to a unit source in a layer is exp(-j theta n) / (j slope), n layers away in either
+    direction, with theta and slope of `grid_modes.Phases`. The increments are the wave divided by
+    this response at each frequency; at the cut-on, where the slope vanishes, they vanish too. The
+    source layer and its neighbours also have a near field of a few per cent.
     """
     modes, which = named_mode(setup, setup.source_layer, mode, air)
     # Padded against wrap-around: the filter's response decays slowly at a cut-on.

@@ -88,7 +88,7 @@ def modes_below(frequency: float, radius: float, sound_speed: float) -> list[Mod
         )
     modes = [Mode(m=0, n=0, cut_on=0.0)]
     for m in range(int(highest) + 1):  # j'm1 > m
-        # Near x, J'm is a cosine of this phase (Debye). One more zero, for the error near x = m.
+        # Near `highest`, J'm is a cosine of this phase (Debye); one zero more for its error near m.
         phase = sqrt(highest**2 - m**2) - m * acos(m / highest) if highest else 0.0
         zeros = np.asarray(jnp_zeros(m, int(phase / pi) + 2))
         cut_ons = zeros[zeros < highest] * (sound_speed / (2.0 * pi * radius))
@@ -186,7 +186,7 @@ def axial_wavenumber(
        doi:10.1016/0022-460X(87)90186-6
     """
     frequency = np.asarray(frequency)
-    frequency = frequency.astype(np.result_type(frequency, float), copy=False)  # half overflows
+    frequency = frequency.astype(np.result_type(frequency, float), copy=False)  # float16 overflows
     omega, zero = 2 * pi * frequency, bessel_zero(m, n)
     k = omega / air.sound_speed + 0j
     if not lossy:

@@ -27,8 +27,8 @@ Complex = NDArray[np.complex128]
 
 FREQUENCIES = Reals(1e-6, 1e12, "Hz")
 MOST_STEPS, TOLERANCE = 50, 1e-10
-"""Largest number of steps of the secant method, and largest residual of the squared wavenumber,
-relative to it. About the resonance of a wall it takes up to 20 steps, else 2 to 4."""
+"""Largest number of steps of the secant method, and largest residual of its equation, relative to
+the squared wavenumber. Near the wall's resonance up to 20 steps are needed, elsewhere 2 to 4."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,7 +188,7 @@ def yielding_wavenumber(
     ``kz^2 = k0^2 + 2 rho omega^2 u(kz) / a``: the section yields to the pressure, which is uniform
     over it. Above the wall's resonance, 1.5 kHz in the sleeve paper's tube, the wall's inertia
     raises the phase velocity and lowers the group velocity. The equation is solved by the secant
-    method for kz^2, from k0^2 and from what k0 gives.
+    method for kz^2, from k0^2 and from the right-hand side at kz = k0.
     """
     f = np.atleast_1d(np.asarray(frequency, float))
     rigid = axial_wavenumber(0, 0, f, radius, air, lossy=lossy)

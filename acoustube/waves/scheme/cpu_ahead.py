@@ -1,4 +1,4 @@
-"""Compilation of the time-stepping kernel over columns, ahead of the first run."""
+"""Compilation of the time-stepping kernel for CPUs, ahead of the first run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from acoustube.waves.scheme.cpu_layout import (
 
 
 def compile_march(*, lossy: bool) -> None:
-    """Compile the kernel in single precision by a call with no steps, if JAX runs on the CPU.
+    """Compile the single-precision kernel by a call with no time steps, if JAX runs on the CPU.
 
     Parameters
     ----------

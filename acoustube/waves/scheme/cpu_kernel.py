@@ -68,7 +68,7 @@ def _barrier_wait(counter, total):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _full_divergence(q, full, bent, x, y, k):  # type: ignore[no-untyped-def]
-    """Return the divergence of the gradient in a cell whose faces are all full."""
+    """Return the discrete Laplacian of a field, times (c dt)^2, in a cell whose faces are full."""
     i, j, m = x + _ONE, y + _ONE, k + _TWO
     twice = q[i, j, m] + q[i, j, m]
     across = full[0] * ((q[i + _ONE, j, m] + q[x, j, m]) - twice)
@@ -80,7 +80,7 @@ def _full_divergence(q, full, bent, x, y, k):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _flow_across(q, operator, x, y, k):  # type: ignore[no-untyped-def]
-    """Return the divergence of the gradient in a cell, over its transverse faces."""
+    """Return the divergence of area times field difference over a cell's transverse faces."""
     i, j, m = x + _ONE, y + _ONE, k + _TWO
     here, area_x, area_y = q[i, j, m], operator.area_x, operator.area_y
     flow_x = area_x[i, y, k] * (q[i + _ONE, j, m] - here) - area_x[x, y, k] * (here - q[x, j, m])
@@ -90,7 +90,7 @@ def _flow_across(q, operator, x, y, k):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _flow_along(velocities, areas, beta):  # type: ignore[no-untyped-def]
-    """Return the divergence of u over the axial faces, as `operator.axial_divergence`."""
+    """Return the divergence of area times u over a cell's axial faces, with the correction beta."""
     before, below, above, behind = velocities
     a, b, c, d = areas
     low, here, high = (
@@ -109,7 +109,7 @@ def _axial_areas(operator, x, y, k):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _cut_divergence(q, operator, x, y, k):  # type: ignore[no-untyped-def]
-    """Return the divergence of the gradient in a cut cell, each face with its own area."""
+    """Return the divergence of area times field difference over all faces of a cut cell."""
     i, j = x + _ONE, y + _ONE
     a, b, c, d, e = (
         q[i, j, k],
@@ -144,7 +144,7 @@ def _lossless_cut(operator, q, following, change, x, y, begin, end):  # type: ig
 
 @_compiled
 def _update_air_memory(lossy, relaxed, middle, following, x, y, begin, end):  # type: ignore[no-untyped-def]
-    """Advance the air's relaxations, and subtract them from the argument of the Laplacian."""
+    """Advance the air's relaxations, and subtract them from the field of the next Laplacian."""
     for j in range(np.uint64(lossy.bulk.size)):
         decay, gain, lag = lossy.decay[j], lossy.gain[j], lossy.bulk[j]
         for k in range(begin, end):
@@ -155,7 +155,7 @@ def _update_air_memory(lossy, relaxed, middle, following, x, y, begin, end):  # 
 
 @_compiled
 def _update_wall_memory(lossy, relaxed, relaxing, middle, x, y, begin, end):  # type: ignore[no-untyped-def]
-    """Advance the wall's relaxations."""
+    """Advance the wall's relaxations, and add up their parts of the half-integral's change."""
     for j in range(np.uint64(lossy.bulk.size), np.uint64(lossy.decay.size)):
         decay, gain, part = lossy.decay[j], lossy.gain[j], lossy.wall[j]
         for k in range(begin, end):
@@ -186,7 +186,7 @@ def _subtract_drag(weight, drag, integral, moved, x, y, begin, end):  # type: ig
 
 @_compiled
 def _wall_step(lossy, fields, moved, x, y, begin, end):  # type: ignore[no-untyped-def]
-    """Add the wall's thermal losses to the pressure increment."""
+    """Include the wall's thermal losses in `moved`, the pressure's second difference in time."""
     response, half = lossy.scalars[0], np.float32(0.5) * lossy.scalars[0]
     change, pressure, increment = fields.change, fields.pressure, fields.increment
     for k in range(begin, end):
@@ -221,7 +221,7 @@ def _update_pressure(lossy, fields, following, moved, middle, x, y, begin, end):
 
 @_compiled
 def _pml_step(operator, layer, q, following, change, first, x, y):  # type: ignore[no-untyped-def]
-    """Advance an absorber's column, as `pml.pml_step`."""
+    """Advance a column of cells of an absorber by one step, as `pml.pml_step` does."""
     i, j, n = x + _ONE, y + _ONE, np.uint64(layer.cells.shape[1])
     faces, velocity, memory = layer.faces, layer.velocity, layer.face_memory
     if n == _NONE:
@@ -298,7 +298,7 @@ def _lossy_column(problem, q, following, integral, later, work, c, x, y, limit):
 
 @_compiled
 def _step(problem, thread, now, begin, end, sample, limit, work, recorded):  # type: ignore[no-untyped-def]
-    """Advance a range of columns by one step, up to a layer.
+    """Advance a range of columns of cells by one step, in the layers up to `limit`.
 
     Without losses `work` is None, and the code for losses is not compiled.
     """

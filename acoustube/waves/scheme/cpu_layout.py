@@ -15,11 +15,12 @@ Array = NDArray[np.floating[Any]]
 Integers = NDArray[np.integer[Any]]
 
 CORE, CUT = 0, 1
-"""Kinds of spans: full cells without losses at the wall (core), and all others (cut)."""
+"""Kinds of spans (successive cells along z): full cells without losses at the wall (core), and all
+others (cut)."""
 
 
 class Columns(NamedTuple):
-    """Columns of open cells along z, and their spans.
+    """Columns of open cells along z, and their spans: successive cells of one kind.
 
     Attributes
     ----------
@@ -68,7 +69,7 @@ class LossCoefficients(NamedTuple):
     drag : Stencil
         Viscous drag, which acts in cut spans only.
     compliance, implicit_factor : ndarray
-        (nx, ny, nz).
+        As in `losses.Losses`, (nx, ny, nz).
     weight : ndarray
         Weight of the air's absorption in each layer, (nz,).
     decay, gain, wall, bulk : ndarray
@@ -76,7 +77,7 @@ class LossCoefficients(NamedTuple):
         a relaxation in the half-integral's change over a step; `bulk` has the air's relaxations
         only.
     scalars : ndarray
-        `response` and `rate`, (2,).
+        `response` and `rate` of `losses.Losses`, (2,).
     """
 
     drag: Stencil
@@ -101,13 +102,13 @@ class Fields(NamedTuple):
     change : ndarray
         Pressure change over the last step, (nx, ny, nz).
     pressure : ndarray
-        (nx+2, ny+2, nz+4); empty without losses, as are all the following arrays.
+        Pressure, (nx+2, ny+2, nz+4); empty without losses, as are all the following arrays.
     relaxed : ndarray
-        Relaxation states, (nx, ny, n_poles, nz).
+        Memory variables of the losses (relaxations), (nx, ny, n_poles, nz).
     relaxing : ndarray
-        Sum of the relaxations' contributions to the half-integral, (nx, ny, nz).
+        Sum of the relaxations' contributions to the half-integral's next change, (nx, ny, nz).
     integral : ndarray
-        Half-integral of the pressure at two times, (2, nx+2, ny+2, nz+4).
+        Half-integral s^(-1/2) p of the pressure at two times, (2, nx+2, ny+2, nz+4).
     increment : ndarray
         Change of the half-integral over the last step, (nx, ny, nz).
     """
@@ -127,9 +128,9 @@ class AbsorberColumns(NamedTuple):
     Attributes
     ----------
     cells, faces : ndarray
-        Decay, gain and inverse, (3, n) and (3, n+3).
+        `decay`, `gain` and `inverse` of `pml.Stretch`, (3, n) and (3, n+3).
     transverse, velocity, face_memory, cell_memory : ndarray
-        (nx, ny, n), (nx, ny, n+3), (nx, ny, n+3) and (nx, ny, n).
+        As in `pml.Absorber`: (nx, ny, n), (nx, ny, n+3), (nx, ny, n+3) and (nx, ny, n).
     """
 
     cells: Array

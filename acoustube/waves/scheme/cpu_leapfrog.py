@@ -41,9 +41,9 @@ from acoustube.waves.scheme.problem import Scheme, Setup, State
 Array = NDArray[np.floating[Any]]
 
 WALL, ABSORBING = -1, 2
-"""Kinds of cells that belong to no span."""
+"""Kinds of cells that belong to no span: those of the wall, and those in an absorber."""
 SHORTEST_CORE = 32
-"""Smallest number of cells of a core span; shorter ones are merged with neighbouring cut spans."""
+"""Smallest number of cells of a core span (full cells); shorter ones are added to cut spans."""
 CELL_COSTS = 1.0, 4.0, 4.0
 """Relative time for a cell in a core span, a cut span and an absorber, for balancing threads."""
 MOST_THREADS = 4
@@ -191,7 +191,7 @@ def _scalar(*values: ArrayLike, dtype: Any) -> Array:
 
 
 def _stencil(operator: Operator, scheme: Scheme, dtype: Any) -> Stencil:
-    """Return the coefficients of an operator."""
+    """Return the coefficients of an operator as arrays for the compiled code."""
     step_squared = float(scheme.step_squared)
     area_x, area_y, area_z = (_copy(area, dtype) for area in operator[1:4])
     return Stencil(
@@ -214,10 +214,10 @@ def _full(operator: Operator) -> Mask:
 
 
 def _full_faces(operator: Operator) -> tuple[Any, ...]:
-    """Return the areas of full faces.
+    """Return the entries of `area_x`, `area_y` and `area_z` at full faces: medians of open faces.
 
-    More than half of the open faces of a resolved lumen are full. The plane x = 0 of a half may be
-    twice as open.
+    More than half of the open faces of a resolved lumen are full. Those in the plane x = 0 of half
+    a lumen may have twice the area.
     """
     areas = (np.asarray(area) for area in (operator.area_x[1:], operator.area_y, operator.area_z))
     return tuple(
@@ -289,7 +289,7 @@ def _air_first(losses: Losses) -> tuple[NDArray[np.integer[Any]], int]:
 
 
 def _lossy(scheme: Scheme, state: State, dtype: Any) -> LossCoefficients:
-    """Return the coefficients of the losses, or empty ones."""
+    """Return the coefficients of the losses, empty without losses."""
     losses, shape = scheme.losses, state.change.shape
     if losses is None:
         none, nowhere = np.zeros(0, dtype), np.zeros((0, 0, 0), dtype)
@@ -314,7 +314,7 @@ def _lossy(scheme: Scheme, state: State, dtype: Any) -> LossCoefficients:
 
 
 def _fields(scheme: Scheme, state: State, lossy: LossCoefficients, dtype: Any) -> Fields:
-    """Return the arrays of a state."""
+    """Return the fields of a state as arrays for the compiled code."""
     memory, nowhere = state.memory, np.zeros((0, 0, 0), dtype)
     ahead, change = _twice(state.pressure), _copy(state.change, dtype)
     if scheme.losses is None or memory is None:
@@ -368,7 +368,7 @@ def _memory(
 
 
 def _layer(layer: Absorber | None, dtype: Any) -> AbsorberColumns:
-    """Return the arrays of an absorber, or empty ones."""
+    """Return the arrays of an absorber, empty without one."""
     if layer is None:
         nothing = np.zeros((0, 0, 0), dtype)
         return AbsorberColumns(*(np.zeros((3, 0), dtype),) * 2, *(nothing,) * 4)

@@ -291,7 +291,7 @@ def _replace_ends(first: jax.Array | None, middle: jax.Array, end: jax.Array | N
 def _absorber_step(
     layer: Absorber | None, first: int, around: jax.Array, scheme: Scheme
 ) -> tuple[Absorber | None, jax.Array | None]:
-    """Return an absorber after a step and the pressure change of its cells; None for None."""
+    """Return an absorber after a step and its cells' pressure change; None without an absorber."""
     if layer is None:
         return None, None
     near, local = _window(around, scheme.operator, first, layer.transverse.shape[2])
@@ -314,7 +314,7 @@ def _window(
 
 
 def _driven(pressure: jax.Array, scheme: Scheme, source_layer: int, sample: jax.Array) -> jax.Array:
-    """Return the pressure with the source layer set, or incremented."""
+    """Return the pressure with the source layer set to a sample, or incremented by it."""
     layer = jnp.arange(pressure.shape[2]) == source_layer
     driven = scheme.keep * pressure + sample * scheme.source[:, :, None]
     return jnp.where(layer, driven, pressure)

@@ -19,13 +19,13 @@ of the gradient along walls that are inclined to the grid.
 
 `half_integral` approximates s^(-1/2) over a band by first-order relaxations with positive weights,
 a passive model of the fractional derivative [3]_. The scheme advances each by the trapezoidal rule.
-The dissipation is then positive at every frequency, on any grid: the real part of the response of y
-to p, times the frequency, has one sign. At zero frequency the scheme is stable as long as S
-sqrt(nu) times the value of the sum of relaxations at s = 0 is less than one; without a bound on S
-the viscous boundary condition is ill-posed in the time domain [4]_. In a gap of a few boundary
-layers S is about two over the height of the gap, and S sqrt(nu) may exceed this bound: the static
-stiffness would be negative, and pressures of alternating sign would grow. Therefore S sqrt(nu) is
-limited to `LARGEST_DRAG` over the value of the sum. Each face's term, with weights w and rates r,
+The dissipation is then positive at every frequency, on any grid: for s = j omega the real part of
+s y / p is positive. At zero frequency the scheme is stable as long as S sqrt(nu) times the value of
+the sum of relaxations at s = 0 is less than one; without a bound on S the viscous boundary
+condition is ill-posed in the time domain [4]_. In a gap of a few boundary layers S is about two
+over the height of the gap, and S sqrt(nu) may exceed this bound: the static stiffness would be
+negative, and pressures of alternating sign would grow. Therefore S sqrt(nu) is limited to
+`LARGEST_DRAG` over the value of the sum. Each face's term, with weights w and rates r,
 
     1 - S sqrt(nu) sum w / (s + r) = 1 - S sqrt(nu) sum w / r + S sqrt(nu) sum (w / r) s / (s + r),
 
@@ -81,11 +81,12 @@ from acoustube.waves.scheme.relaxation_fit import half_integral
 from acoustube.waves.scheme.time_step import largest_eigenvalue
 
 WALL_SPREAD = 0.2e-3
-"""Standard deviation in m of the distance over which the wetted area is spread, at least."""
+"""Smallest standard deviation in m of the distance over which the wetted wall area is spread."""
 LARGEST_SPREAD = 2e-3
-"""Largest standard deviation in m of this distance."""
+"""Largest standard deviation in m of the distance over which the wetted wall area is spread."""
 FLAT_WALL_DRAG = 0.75
-"""Largest fraction of the limit of the drag that a flat wall reaches."""
+"""Largest viscous drag at a flat wall, relative to its limit; where it would be larger, the wetted
+wall area is spread farther."""
 WALL_THRESHOLD = 0.01
 """Wetted area per volume, relative to that at a flat wall, below which a cell has no losses at the
 wall."""
@@ -100,16 +101,17 @@ class Losses(NamedTuple):
     Attributes
     ----------
     drag : Operator
-        Operator whose faces are weighted with S sqrt(nu), up to its limit.
+        Operator whose faces are weighted with S sqrt(nu), up to its limit: S is the wetted area
+        per volume in 1/m, nu the viscous diffusivity.
     compliance : Array
-        (gamma - 1) S sqrt(nu_t) in s^(-1/2), (nx, ny, nz).
+        (gamma - 1) S sqrt(nu_t) in s^(-1/2), with the thermal diffusivity nu_t, (nx, ny, nz).
     implicit_factor : Array
         1 / (1 + response * compliance / 2) of the thermal boundary-layer term, (nx, ny, nz).
     decay, gain : tuple of Array
         Coefficients of the relaxations per step, n scalars.
     wall, bulk : tuple of Array
-        Weights of the relaxations in the half-integral y of the pressure, and in the air's
-        bulk absorption, n scalars.
+        Weights of the relaxations in the half-integral y = s^(-1/2) p of the pressure, and in the
+        air's bulk absorption, n scalars.
     response : Array
         Response of the half-integral y to the pressure of the same step, scalar.
     rate : Array
@@ -138,7 +140,7 @@ class RelaxationState(NamedTuple):
     relaxed : tuple of Array
         n relaxations, each (nx, ny, nz). A single array took four times as long.
     integral : Array
-        Half-integral y of the pressure, with halo.
+        Half-integral y = s^(-1/2) p of the pressure, with halo, (nx+2, ny+2, nz+4).
     increment : Array
         Change of the half-integral over the last step, (nx, ny, nz).
     """
@@ -223,7 +225,7 @@ def _scalars(values: Array, dtype: DTypeLike) -> tuple[jax.Array, ...]:
 
 
 def _spread(most: float, air: Air) -> float:
-    """Return the distance in m over which the wetted area is spread, for a limit of the drag."""
+    """Return the standard deviation in m of the wetted area's spread, for a limit of the drag."""
     needed = sqrt(2 / pi * air.viscous_diffusivity) / (FLAT_WALL_DRAG * most)
     return min(max(WALL_SPREAD, needed), LARGEST_SPREAD)
 
@@ -290,8 +292,9 @@ def _diffused(density: jax.Array, operator: Operator, rate: jax.Array, n_steps: 
 
 
 def _drag(operator: Operator, drag: Array, most: float, dtype: DTypeLike) -> Operator:
-    """Return an operator whose faces are weighted with S sqrt(nu), (nx, ny, nz), up to a limit.
+    """Return an operator whose faces are weighted with `drag`, up to the limit `most`.
 
+    `drag` is S sqrt(nu), (nx, ny, nz), with the wetted area per volume S and the diffusivity nu.
     The weight of a face is the mean of those of two cells, and is therefore within the limit. So is
     the axial correction, whose areas are the smaller of two weighted ones. The drag is therefore
     passive (see the module's docstring).
@@ -382,7 +385,7 @@ def bulk_absorption(losses: Losses, memory: RelaxationState, change: jax.Array) 
 
 
 def _expected(losses: Losses, memory: RelaxationState, pressure: jax.Array) -> jax.Array:
-    """Return the half-integral's increment, without the response to the change in this step."""
+    """Return the half-integral's increment in a step, without that due to the step's change."""
     relaxing = (
         weight * (decay - 1) * one
         for weight, decay, one in zip(losses.wall, losses.decay, memory.relaxed, strict=True)

@@ -75,7 +75,10 @@ class Operator(NamedTuple):
 
 
 def dispersion_coefficient(cells: CutCells, air: Air, time_step: float) -> float:
-    """Return beta = (1 - nu^2) / 12, which cancels the plane wave's dispersion; time step in s."""
+    """Return the axial correction beta = (1 - nu^2) / 12, with the axial Courant number nu.
+
+    It cancels the plane wave's second-order dispersion. `time_step` is in s.
+    """
     return (1.0 - (air.sound_speed * time_step / cells.spacing[2]) ** 2) / 12.0
 
 
@@ -131,10 +134,10 @@ def _closed_outside(faces: jax.Array, axis: int) -> jax.Array:
 
 
 def on_device(values: ArrayLike, dtype: DTypeLike | None = None) -> jax.Array:
-    """Return values as a JAX array; others than JAX's are copied by NumPy, uncompiled."""
+    """Return values as a JAX array; arrays of other kinds are copied, without compilation."""
     if isinstance(values, jax.Array):
         return jnp.asarray(values, dtype)
-    # jnp.asarray compiles a program for each shape; JAX may keep the memory of what it is put.
+    # jnp.asarray would compile for each shape; device_put may share the memory of its argument.
     return jax.device_put(np.array(values, dtype))
 
 
@@ -197,7 +200,7 @@ def axial_divergence(velocity: jax.Array, area: jax.Array, beta: jax.Array) -> j
         Axial face quantity u, from one face before the first cell to one behind the last,
         (nx, ny, nz+3).
     area : Array
-        Open areas of these faces.
+        Open areas A of these faces. N is the smaller area of two neighbours, D2 the difference.
     beta : Array
         Coefficient of the correction.
 

@@ -45,18 +45,18 @@ UNDAMPED_LAYERS = 3
 """Number of layers without damping at the front, so that the absorber and the rest of the grid
 have the same velocities at their interface."""
 GRADING_EXPONENT = 3
-"""Exponent of the profiles of sigma and kappa over depth; a jump would reflect."""
+"""Exponent of the rise of damping sigma and stretch kappa with depth; a jump would reflect."""
 REFLECTION = 1e-12
 """Reflection coefficient R of a plane wave in the continuum. That of a mode of axial wavenumber kz
 is R^(kz / k), and therefore larger near its cut-on."""
 LARGEST_KAPPA = 4.0
-"""Stretch kappa at the back, which shortens evanescent modes."""
+"""Stretch kappa at the back of the layer, which shortens evanescent modes."""
 LARGEST_ALPHA = 2.0 * pi * 2e3
-"""Frequency shift alpha at the front in rad/s, well below the carrier's angular frequency."""
+"""Frequency shift alpha at the front of the layer in rad/s, well below that of the carrier."""
 
 
 class Stretch(NamedTuple):
-    """Recursion coefficients b, a and 1 / kappa of an axial layer, each (1, 1, n)."""
+    """Recursion coefficients of absorbers: decay b, gain a, inverse stretch 1/kappa, (1, 1, n)."""
 
     decay: jax.Array
     gain: jax.Array
@@ -141,7 +141,7 @@ def absorber(
 def _recursion(
     depth: Array, thickness: float, time_step: float, sound_speed: float
 ) -> tuple[Array, Array, Array]:
-    """Return b, a and 1 / kappa at depths in m behind the layer's front."""
+    """Return decay b, gain a and inverse stretch 1 / kappa at depths in m behind the front."""
     relative = np.clip(depth / thickness, 0.0, 1.0)
     # The two-way attenuation exp(-2/c int sigma dz) of a plane wave is REFLECTION.
     strongest = -(GRADING_EXPONENT + 1) * sound_speed * log(REFLECTION) / (2.0 * thickness)
@@ -174,7 +174,7 @@ def pml_step(
     state : Absorber
         The advanced state.
     change : Array
-        Change of the pressure over this step, (nx, ny, n).
+        Change of the pressure over this step in Pa, (nx, ny, n).
     """
     weight = step_squared * operator.inverse_volume
     across = transverse_divergence(pressure, operator.area_x, operator.area_y)

@@ -135,11 +135,11 @@ def prepare(
     probes : tuple of float
         Probe positions in m; each is moved to the nearest cell layer.
     source_end : {"release", "absorbing", "rigid"}
-        Prescribed pressure at z = 0; a source at z = 0 that launches a wave into the tube, with an
-        absorber behind it; or a rigid cap half a cell before z = 0, for problems that start
-        from an initial pressure.
+        Respectively, prescribed pressure at z = 0; a source at z = 0 that launches a wave into the
+        tube, with an absorber behind it; or a rigid cap half a cell before z = 0, for problems that
+        start from an initial pressure.
     far_end : {"absorbing", "rigid"}
-        Straight continuation into an absorber, or a rigid cap at z = L.
+        Straight continuation into an absorber, or a rigid cap at the end of the tube.
     absorber_thickness : float
         Thickness of the absorbing layer at an absorbing end, in m.
     time_step : float, optional

@@ -19,11 +19,11 @@ from acoustube.base.errors import ConfigError
 from acoustube.waves.grid.polyhedron import Array
 
 ACCURACY = 3e-3
-"""Relative error of the half-integral, over the band, below which no relaxation is added."""
+"""Relative error of the fit of s^(-1/2), over the band, below which no relaxation is added."""
 MOST_POLES = 10
-"""Largest number of relaxations."""
+"""Largest number of relaxations in the fit of s^(-1/2)."""
 FIT_POINTS = 200
-"""Number of frequencies of the least-squares fit."""
+"""Number of frequencies in the least-squares fit of s^(-1/2)."""
 
 
 @dataclass(frozen=True, kw_only=True)

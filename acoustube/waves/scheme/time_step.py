@@ -108,10 +108,10 @@ def largest_eigenvalue(operator: Operator) -> float:
 
     Notes
     -----
-    Lanczos iteration in the volume-weighted inner product, in which the operator is self-adjoint.
-    It starts from a checkerboard, the highest mode of an uncut grid, with noise that excites modes
-    localised in single wall cells. ``scipy.sparse.linalg.eigsh`` converges to a value higher by
-    3e-5 to 1e-4 and takes three to ten times as long, since each of its products leaves JAX.
+    The inner product is weighted with the volumes, so that the operator is self-adjoint. The start
+    is a checkerboard, the highest mode of an uncut grid, with noise that excites modes localised in
+    single wall cells. ``scipy.sparse.linalg.eigsh`` converges to a value higher by 3e-5 to 1e-4 and
+    takes three to ten times as long, since each of its products leaves JAX.
 
     References
     ----------
@@ -148,7 +148,7 @@ def _lanczos(
     volume: jax.Array,
     operator: Operator,
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Return the current and the next Lanczos vector, and the diagonal and off-diagonal entry."""
+    """Return the current and next Lanczos vector, and the tridiagonal matrix's two new entries."""
     image = -laplacian(with_halo(current), operator) - coupling * previous
     level = jnp.sum(volume * image * current)
     image = image - level * current
@@ -157,12 +157,12 @@ def _lanczos(
 
 
 def _gershgorin(operator: Operator) -> float:
-    """Return Gershgorin's bound of the eigenvalues: twice the open faces over the volume.
+    """Return Gershgorin's bound of the eigenvalues: twice the sum of open faces over the volume.
 
     The axial correction beta D2' N D2 (see `operator`) is at most 4 beta A, because N never exceeds
     A.
     """
-    inverse, x, y, z, beta = map(np.asarray, operator)  # compiled, it would be for one shape only
+    inverse, x, y, z, beta = map(np.asarray, operator)  # JAX would compile for each shape
     z = z[:, :, 1:-1]
     axial = (1.0 + 4.0 * beta) * (z[:, :, 1:] + z[:, :, :-1])
     faces = x[1:] + x[:-1] + y[:, 1:] + y[:, :-1] + axial

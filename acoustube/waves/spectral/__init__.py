@@ -1,12 +1,13 @@
-"""Scattering of a lumen in the frequency domain: polynomials in space, rational in frequency.
+"""Scattering of a lumen in the frequency domain, by spectral elements and a rational Krylov space.
 
 Reading order: `polynomials` (basis across the tube), `walls`, `lumens` and `sections` (walls from
 formulas, rings and surfaces), `quadrature` and `assembly` (stiffness and mass), `ports` and `ends`
-(modes of the ends), `elimination` (direct solution along the tube), `discretisation` (a basis and
-an enriched one), `reduction` (Galerkin projection, for many frequencies), `boundary`, `layers`,
-`end_layers` and `lossy` (losses), `motion`, `derivatives` and `lossy_derivatives` (derivatives by
-motions of the wall), `partition`, `first_basis`, `adaptation`, `truncation` and `band` (choice of
-the basis, and its error), `solver` and `result` (scattering matrix with its error estimate).
+(modes of the ends), `elimination` (direct solution along the tube), `discretisation` (matrices in a
+basis and in an enriched one), `reduction` (Galerkin projection, for many frequencies), `boundary`,
+`layers`, `end_layers` and `lossy` (losses), `motion`, `derivatives` and `lossy_derivatives`
+(derivatives by motions of the wall), `partition`, `first_basis`, `adaptation`, `truncation` and
+`band` (choice of the basis, and its error), `solver` and `result` (scattering matrix with its error
+estimate).
 """
 
 from acoustube.waves.spectral.lumens import wall_of

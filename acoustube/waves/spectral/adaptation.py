@@ -1,4 +1,4 @@
-"""Adaptation of the basis (degree and elements) to an error tolerance, and the remaining error."""
+"""Adaptation of degree and elements to an error tolerance, and the remaining truncation error."""
 
 from __future__ import annotations
 
@@ -22,21 +22,22 @@ from acoustube.waves.spectral.walls import Wall
 
 MAX_DEGREE = 16
 ADAPTATION_SHIFTS = (0.5, 0.8, 1.0)
-"""Indices of the shifts at which the basis is adapted, as fractions of the last index."""
+"""Shifts (squared wavenumbers) at which the basis is adapted: their indices in the list of all
+shifts, as fractions of the last index."""
 COARSE_ERROR_RATIO = 30.0
-"""Ratio of error to tolerance above which the degree is raised by 4 instead of 2."""
+"""Ratio of error to tolerance above which the polynomial degree is raised by 4 instead of 2."""
 MAX_ADAPTATIONS = 8
 
 
 class Adapted(NamedTuple):
-    """Discretisation refined to the tolerance at test shifts, or as far as the limits allow.
+    """Discretisation refined until S meets a tolerance at test shifts, or until a limit is reached.
 
     Attributes
     ----------
     system : Discretisation
     basis : Basis
     responses : dict
-        Responses by squared wavenumber in 1/m2, one for each parity along z.
+        Responses by squared wavenumber in 1/m2: a list with one for each parity along z.
     """
 
     system: Discretisation
@@ -53,7 +54,7 @@ def discretised(
     lossy: bool,
     order: int = ELEMENT_DEGREE,
 ) -> Discretisation:
-    """Assemble a lumen in a basis, with its boundary layers if it is lossy.
+    """Assemble the matrices of a lumen in a basis, with its boundary layers if it is lossy.
 
     Parameters
     ----------
@@ -61,12 +62,12 @@ def discretised(
     k : ndarray
         Wavenumbers in 1/m, (n,), rising.
     odd : bool or None
-        Symmetry about x = 0; None for all modes.
+        True for fields antisymmetric about x = 0, False for symmetric ones; None for both.
     basis : Basis
     lossy : bool
         Whether the wall has boundary layers.
     order : int
-        Degree along an element.
+        Polynomial degree along an element.
     """
     system = discretise(wall, basis.edges, basis.degree, order, odd, float(k[-1]))
     return with_layers(system, wall, basis.flat) if lossy else system
@@ -82,9 +83,9 @@ def adapted(
     *,
     lossy: bool,
 ) -> Adapted:
-    """Raise the degree and split elements until S is accurate at test shifts, or a limit is met.
+    """Raise the degree and split elements until S meets a tolerance, or until a limit is reached.
 
-    The limits are :data:`MAX_DEGREE` and :data:`MAX_ADAPTATIONS`.
+    S is tested at a few shifts. The limits are :data:`MAX_DEGREE` and :data:`MAX_ADAPTATIONS`.
 
     Parameters
     ----------
@@ -97,10 +98,6 @@ def adapted(
         over all elements of the change of S by a higher degree along each.
     known : Adapted or None
         Previous result, whose responses include all shifts of the basis.
-
-    Returns
-    -------
-    Adapted
     """
     shifts = basis.shifts
     probes = _probes(shifts)
@@ -128,7 +125,7 @@ def adapted(
 
 
 def _probes(shifts: Array) -> Array:
-    """Return the shifts at which the basis is adapted."""
+    """Return those of the shifts (squared wavenumbers) at which the basis is adapted."""
     return shifts[np.round(np.array(ADAPTATION_SHIFTS) * (len(shifts) - 1)).astype(int)]
 
 
@@ -160,7 +157,7 @@ def truncation_ratio(
 
 
 def _errors(system: Discretisation, responses: dict[float, list[Response]]) -> tuple[float, Array]:
-    """Return the largest change of S by a higher degree across, and those along each element."""
+    """Return the largest changes of S by higher degrees, across the tube and along each element."""
     corrections = {
         shift: [np.concatenate([side.by_degree[None], side.by_element]) for side in sides]
         for shift, sides in responses.items()
@@ -174,7 +171,7 @@ def _largest_changes(
     responses: dict[float, list[Response]],
     corrections: dict[float, list[Array]],
 ) -> Array:
-    """Return the largest changes of S, (n,), by n corrections of the impedances at each shift."""
+    """Return the largest changes of S, (n,), by n corrections of the impedance at each shift."""
     found = []
     zeros = np.tile(system.modes.zeros, len(system.ports))
     for shift, sides in responses.items():

@@ -1,19 +1,20 @@
 """Stiffness and mass of a lumen in polynomials across it and line elements along it.
 
-In an element the pressure is a sum of L_j(z) P_i(X, Y), with X = (x - x0(z)) / a(z) and
-Y = (y - y0(z)) / b(z): the box of a section has the centre (x0, y0), half width a and half height
-b. The derivative along the tube at fixed x and y is
+In an element the pressure is a sum of L_j(z) P_i(X, Y), with the shape functions L_j of a line
+element, polynomials P_i, X = (x - x0(z)) / a(z) and Y = (y - y0(z)) / b(z). The bounding box of a
+section has the centre (x0, y0), half width a and half height b. The z derivative at fixed x and y
+is
 
     d/dz (L_j P_i) = L_j' P_i + L_j B P_i,
     B = -(x0'/a) d_X - (a'/a) X d_X - (y0'/b) d_Y - (b'/b) Y d_Y,
 
-again in the span of the P_i, so that
+and B P_i is again in the span of the P_i, so that stiffness and mass,
 
-    K = int grad p . grad q dV,    M = int p q dV
+    K = int grad p . grad q dV,    M = int p q dV,
 
 require only the sections' Gram matrices int P_i P_k dx dy. Within an element x0, a, y0 and b are
-polynomials through the extent of the wall at Gauss-Lobatto points, and therefore continuous along
-the tube.
+polynomials in z that interpolate the extent of the wall at Gauss-Lobatto points, and are therefore
+continuous along the tube.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ BOX_POINTS = 5
 class Sections(NamedTuple):
     """Gram matrices of the sections at all points along a lumen, (n_points, n, n) each.
 
-    P is the column of the functions P_i, and B P that of their z derivatives at fixed L_j.
+    P is the column of the n polynomials across the tube, and B P that of their z derivatives at
+    fixed x and y.
 
     Attributes
     ----------
@@ -61,7 +63,7 @@ class Sections(NamedTuple):
 
 
 class Boxes(NamedTuple):
-    """Boxes around sections, (n_sections,) each, and their z derivatives (`_z`), dimensionless.
+    """Boxes around sections, and their z derivatives (`_z`, dimensionless), (n_sections,) each.
 
     (x0, y0) is the centre, a the half width and b the half height, in m.
     """
@@ -78,7 +80,7 @@ class Boxes(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Elements:
-    """Matrices of line elements in the enriched basis.
+    """Matrices of the elements along a lumen, in the basis enriched for the error estimate.
 
     Attributes
     ----------
@@ -87,7 +89,7 @@ class Elements:
     first, last : ndarray
         Boxes of the sections at the first and at the last edge: x0, a, y0, b in m, (4,).
     sections : Sections
-        Gram matrices of the polynomials of the basis, without those of the enriched one.
+        Gram matrices of the polynomials of the basis itself.
     """
 
     stiffness: Array
@@ -106,12 +108,8 @@ def assemble(wall: Wall, rule: AxialRule, basis: Polynomials, layout: Layout) ->
     rule : AxialRule
         Quadrature along the elements.
     basis : Polynomials
-        Polynomials of the enriched basis.
+        Polynomials across the tube, in the basis enriched for the error estimate.
     layout : Layout
-
-    Returns
-    -------
-    Elements
     """
     boxes, first, last = element_boxes(wall, rule)
     mass, along, across = section_matrices(wall.contours(rule.z, basis.degree), boxes, basis)
@@ -123,11 +121,11 @@ def assemble(wall: Wall, rule: AxialRule, basis: Polynomials, layout: Layout) ->
 
 
 class Layout(NamedTuple):
-    """Order of the unknowns of an element: those of the basis, then the further ones.
+    """Order of the unknowns of an element: those of the basis, then those that enrich it.
 
-    The basis has the functions L_j P_i with j <= `order`, i < `n`. The enriched basis has in
-    addition those with j <= `order`, i >= `n`, and then those with j = `order` + 1, i < `n`. In
-    each of the three groups i varies fastest.
+    The basis has the functions L_j P_i, L_j along and P_i across the tube, with j <= `order`,
+    i < `n`. The basis enriched for the error estimate adds those with j <= `order`, i >= `n`, and
+    then those with j = `order` + 1, i < `n`. In each of the three groups i varies fastest.
 
     Attributes
     ----------
@@ -143,17 +141,17 @@ class Layout(NamedTuple):
 
     @property
     def n_basis(self) -> int:
-        """Number of unknowns of the basis."""
+        """Number of unknowns of an element in the basis."""
         return self.n * (self.order + 1)
 
     @property
     def n_higher(self) -> int:
-        """Number of unknowns of the functions across the tube that the basis lacks."""
+        """Number of unknowns of an element for the higher degrees across the tube."""
         return (self.n_all - self.n) * (self.order + 1)
 
     @property
     def size(self) -> int:
-        """Number of all unknowns of an element."""
+        """Number of unknowns of an element in the enriched basis."""
         return self.n_basis + self.n_higher + self.n
 
     def end(self, j: int) -> Index:
@@ -166,9 +164,10 @@ class Layout(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _places(layout: Layout) -> Index:
-    """Return the flat indices (size, size) of an element's entries in an array over j, k, i, m.
+    """Return the flat indices, (size, size), that take an element's matrix from an array.
 
-    The array has the shape (order + 2, order + 2, n_all, n_all), for L_j P_i times L_k P_m.
+    The array has the entries for L_j P_i times L_k P_m, L_j along and P_i across the tube, in the
+    order j, k, i, m, (order + 2, order + 2, n_all, n_all).
     """
     n, n_all, n_j = layout.n, layout.n_all, layout.order + 1
     low, high = np.arange(n), np.arange(n, n_all)
@@ -181,14 +180,14 @@ def _places(layout: Layout) -> Index:
 def along_elements(
     rule: AxialRule, layout: Layout, slopes: Array | None, mixed: Array | None, values: Array
 ) -> Array:
-    """Integrate products of the functions L_j and of their z derivatives L_j' along elements.
+    """Integrate products of the shape functions L_j and of their z derivatives L_j' along elements.
 
     Parameters
     ----------
     rule : AxialRule
     layout : Layout
     slopes : ndarray or None
-        Factors of L_j' L_k' at all points, (n_points, n_all, n_all).
+        Factors of L_j' L_k' at all points, (n_points, n_all, n_all); None for zero.
     mixed : ndarray or None
         Factors of L_j' L_k, of the shape of `slopes`; their transposes are those of L_j L_k'.
     values : ndarray
@@ -226,9 +225,9 @@ def along_elements(
 
 
 def element_boxes(wall: Wall, rule: AxialRule) -> tuple[Boxes, Array, Array]:
-    """Return the boxes of the sections at a rule's points, and those at the first and last edge.
+    """Return the bounding boxes of sections: at a rule's points, at the first and at the last edge.
 
-    Each of the latter two is x0, a, y0, b in m, (4,).
+    Each of the latter two is x0, a, y0, b (centre and half width in x, then in y) in m, (4,).
     """
     nodes = gauss_lobatto(BOX_POINTS)
     step = rule.step
@@ -256,7 +255,8 @@ def section_matrices(
 ) -> tuple[Array, Array, Array]:
     """Return int P P^T, int P (B P)^T and int grad P . grad P^T of each section.
 
-    Each is (n_sections, n, n). The gradient is that at fixed L_j: d/dx, d/dy and B.
+    Each is (n_sections, n, n). P is the column of the n polynomials, and B P that of their z
+    derivatives at fixed x and y. The components of grad P are its x and y derivatives and B P.
     """
     n = basis.degree
     x = (contours.x - boxes.x0[:, None]) / boxes.a[:, None]

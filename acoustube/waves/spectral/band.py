@@ -1,4 +1,4 @@
-"""Solution over a band: fields at the shifts, and a Galerkin solution in their span."""
+"""Solution over a band: fields at a few frequencies, and a Galerkin solution in their span."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from acoustube.waves.spectral.ports import (
 from acoustube.waves.spectral.reduction import Reduced, corrected, extended, impedance
 
 ADAPTATION_TOLERANCE = 0.25
-"""Largest error of the shifts, as a fraction of the whole tolerance. It is small, because reducing
-this error costs little."""
+"""Largest error of S by too few shifts (frequencies solved directly), as a fraction of the whole
+tolerance. It is small, because reducing this error costs little."""
 EXTRA_BLOCKS = {False: 2, True: 3}
-"""Number of blocks of the Krylov space at an added shift, without and with losses. Few suffice,
-because most of that space is in the span of the other shifts' blocks."""
+"""Number of blocks of the Krylov space at an added shift (squared wavenumber), without and with
+losses. Few suffice, because most of that space is in the span of the other shifts' blocks."""
 MAX_ROUNDS = 6
-"""Largest number of rounds in which shifts are added."""
+"""Largest number of rounds in which shifts (squared wavenumbers solved directly) are added."""
 NEAREST = 0.1
-"""Smallest distance of a new shift from its neighbours, relative to the distance between these."""
+"""Smallest distance of a new shift k^2 from its neighbours, relative to that between these."""
 
 
 def swept(
@@ -43,8 +43,10 @@ def swept(
 ) -> tuple[list[Reduced], Complex, tuple[Array, Array], list[int]]:
     """Return reduced spaces, S, its two errors, and the spaces' sizes before the last new shifts.
 
-    There are one space and one size for each parity along z. The errors are the change of S by the
-    corrections, and the error of the shifts, (n,) each. `responses` receives those at all shifts.
+    There are one space and one size for each parity along z. S, (n, 2, m, 2, m), is without losses,
+    at wavenumbers `k` in 1/m, (n,). The errors are the change of S by the corrections of degree and
+    elements, and the error by the choice of shifts (squared wavenumbers solved directly), (n,)
+    each. `responses` receives the responses at all shifts.
 
     Notes
     -----
@@ -52,7 +54,8 @@ def swept(
     the last block, as d^(m / (m - 1)): the error falls by the same factor with each block. A shift
     is then added in each interval between shifts in which this error is too large, and in one
     interval at least. In the intervals with a new shift, the change of S by the new shifts replaces
-    the error. Elsewhere that change does not show the error: the larger of the two is kept.
+    the error. Elsewhere the larger of this change and the previous error is kept, because the
+    change does not show the error there.
     """
     lossy, limit = system.layers is not None, ADAPTATION_TOLERANCE * tolerance
     blocks = KRYLOV_BLOCKS[lossy]
@@ -143,13 +146,16 @@ def _side_by_side(fields: list[Array]) -> Array:
 
 
 def difference(system: Discretisation, a: Complex, b: Complex, k: Array) -> Array:
-    """Return the largest difference of the coefficients of propagating modes, (n,)."""
+    """Return the largest difference of two scattering matrices over propagating modes, (n,).
+
+    `a` and `b` are (n, 2, m, 2, m), at wavenumbers `k` in 1/m, (n,).
+    """
     travels = k[:, None] * system.radius > system.modes.zeros
     both = travels[:, None, :, None, None] & travels[:, None, None, None, :]
     return np.asarray(np.where(both, np.abs(a - b), 0.0).max(axis=(1, 2, 3, 4)))
 
 
 def scattering_at(system: Discretisation, spaces: list[Reduced], k: Array) -> Complex:
-    """Return S at the ports, (n, 2, m, 2, m), from the reduced space of each side."""
+    """Return S without losses, (n, 2, m, 2, m), from the reduced space of each parity along z."""
     kz = axial_wavenumbers(k, np.tile(system.modes.zeros, len(system.ports)), system.radius)
     return of_both_ports([scattering_of(impedance(space, k), kz) for space in spaces])

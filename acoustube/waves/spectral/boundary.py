@@ -12,12 +12,12 @@ from acoustube.waves.spectral.quadrature import AxialRule
 from acoustube.waves.spectral.walls import Contours, Wall
 
 WALL_DEGREE = 4
-"""Default degree of polynomials that determines the number of quadrature points round the tube, for
-the derivatives of stiffness and mass by motions of the wall."""
+"""Total degree of polynomials for whose products the default number of quadrature points round the
+tube suffices, in the derivatives of stiffness and mass by motions of the wall."""
 
 
 class WallPoints(NamedTuple):
-    """Points of a wall with their normals, weights and derivatives.
+    """Quadrature points of a wall, with normals and weights.
 
     Attributes
     ----------
@@ -45,9 +45,9 @@ class WallPoints(NamedTuple):
 
 
 class WallFunctions(NamedTuple):
-    """The n polynomials across, and their derivatives in 1/m, at points of a wall.
+    """The n polynomials across the tube, and their derivatives in 1/m, at points of a wall.
 
-    Each is (n_sections, n, n_points). The z derivative `p_z` is that at fixed L_j.
+    Each is (n_sections, n, n_points). The z derivative `p_z` is that at fixed x and y.
     """
 
     p: Array
@@ -71,7 +71,7 @@ def wall_points(wall: Wall, rule: AxialRule, degree: int = WALL_DEGREE) -> WallP
 
 
 def wall_functions(points: WallPoints, basis: Polynomials) -> WallFunctions:
-    """Return the polynomials and their derivatives at points of a wall."""
+    """Return the polynomials across the tube and their derivatives at points of a wall."""
     boxes = Boxes(*(part[:, None] for part in points.boxes))
     x = (points.contours.x - boxes.x0) / boxes.a
     y = (points.contours.y - boxes.y0) / boxes.b
@@ -111,7 +111,7 @@ def wall_matrices(
 
 
 class TangentialFunctions(NamedTuple):
-    """Polynomials across at points of a wall, and their tangential derivatives at fixed L_j.
+    """Polynomials across the tube at points of a wall, and their tangential derivatives.
 
     Attributes
     ----------
@@ -147,7 +147,7 @@ def tangential_matrices(
     weight: Array,
     elements: Index,
 ) -> tuple[Array, Array]:
-    """Return stiffness and mass integrals over the wall of some elements, of tangential gradients.
+    """Return stiffness (of tangential gradients) and mass over the wall of some elements.
 
     Parameters
     ----------

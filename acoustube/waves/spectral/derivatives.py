@@ -1,8 +1,8 @@
 """Derivatives of a scattering matrix by motions of the wall.
 
 For a wall that moves outwards by v_n per unit of the parameter, Hadamard's formula [1]_ gives the
-change of the impedance matrix Z from the fields x of the ports' loads C, without a new solution, by
-an integral over the wall:
+change of the impedance matrix Z from the fields x caused by the loads C of the port modes, without
+a new solution, by an integral over the wall:
 
     dZ = dC^T x + x^T dC - int v_n (grad x . grad x^T - k^2 x x^T) dA.
 
@@ -34,13 +34,13 @@ from acoustube.waves.spectral.reduction import Reduced, projected, ritz
 from acoustube.waves.spectral.walls import Wall
 
 LEAST_OVERLAP = 0.9
-"""Smallest overlap of a displaced wall's mode and the unmoved wall's that count as the same mode.
-"""
+"""Smallest overlap (integral of the product of normalised modes) of a displaced wall's mode and the
+unmoved wall's mode of equal index, from which they count as the same mode."""
 NO_MODES = port_modes(-1.0, None)
 
 
 class Changes(NamedTuple):
-    """Derivatives of a discretisation by a parameter, in the polynomials of the enriched basis.
+    """Derivatives by a parameter of the matrices of a lumen, in polynomials of the enriched basis.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Changes(NamedTuple):
 
 
 def changes_of(system: Discretisation, wall: Wall, motion: Motion, wavenumber: float) -> Changes:
-    """Return the derivatives of stiffness, mass and loads of a lumen without boundary layers.
+    """Return the derivatives, by a motion, of stiffness, mass and loads without boundary layers.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def changes_of(system: Discretisation, wall: Wall, motion: Motion, wavenumber: f
 def _add_ends(
     changes: Changes, system: Discretisation, wall: Wall, motion: Motion, wavenumber: float
 ) -> None:
-    """Add in place the changes by moving ends, of the loads and of the far modes' impedance."""
+    """Add in place the derivatives, by moving ends, of loads and of the ends' evanescent modes."""
     _, first, last = element_boxes(wall, system.rule)
     far = far_modes(wall, wavenumber, system.functions.odd)
     n, layout = len(system.modes), system.layout
@@ -106,7 +106,9 @@ def _add_ends(
 def modes_like(
     wall: Wall, near: PortModes, far: PortModes, odd: bool | None
 ) -> tuple[PortModes, PortModes]:
-    """Return the modes of a displaced wall's ends that correspond to the modes `near` and `far`.
+    """Return the modes of a displaced wall's ends that correspond to modes of the unmoved wall.
+
+    `near` are the port modes of the unmoved wall, `far` the evanescent modes that follow in cut-on.
 
     Raises
     ------
@@ -119,16 +121,16 @@ def modes_like(
     if np.any(section.alike[: len(near) + len(far)] < LEAST_OVERLAP):
         raise ConfigError(
             "two modes of the wall's ends cut on at the same frequency, so that S has no "
-            "derivative by a motion of the ends; give a motion of the lumen alone"
+            "derivative by a motion of the ends; give a motion that is zero there"
         )
     modes = section.modes
     return modes.part(slice(len(near))), modes.part(slice(len(near), len(near) + len(far)))
 
 
 def changed_wavenumbers(system: Discretisation, motion: Motion, kz: Complex) -> Complex:
-    """Return the derivatives of lossless axial wavenumbers kz in 1/m, (n, n_modes).
+    """Return the derivatives of the lossless axial wavenumbers `kz`, (n, n_modes), by a motion.
 
-    They are per unit of the parameter, and zero where kz is zero.
+    They are in 1/m per unit of the parameter, and zero where kz is zero.
     """
     transverse = [
         modes_like(wall, system.modes, NO_MODES, system.functions.odd)[0].zeros / wall.radius
@@ -175,7 +177,7 @@ def moved_scattering(
 def reduced_changes(
     system: Discretisation, space: Reduced, changes: Changes
 ) -> tuple[Array, Array, Array]:
-    """Return the derivatives of `stiffness`, `mass` and `ports` of :class:`Reduced`."""
+    """Return the derivatives of the projected `stiffness`, `mass`, `ports` of :class:`Reduced`."""
     stiffness, mass = (projected(system, part, space) for part in (changes.stiffness, changes.mass))
     n = system.layout.n_basis
     ports = np.concatenate([

@@ -21,7 +21,8 @@ from acoustube.waves.spectral.quadrature import AxialRule, axial_rule
 from acoustube.waves.spectral.walls import Wall
 
 DEGREE_INCREASE = 2
-"""Difference of total degree between the enriched basis and the basis."""
+"""Increase of the total polynomial degree across the tube, in the basis enriched for the error
+estimate."""
 LAYER_RATIO = 0.476
 """(gamma - 1) / sqrt(Pr) of air: effect of the thermal layer relative to the viscous one."""
 ACTIVE_MARGIN = 0.6
@@ -94,7 +95,7 @@ class Discretisation:
     rim : Rim
         Products of the modes along the contour of an end.
     halved : bool
-        Whether only the half beyond the plane of symmetry is discretised, which has one port.
+        Whether only the half at high z of a symmetric lumen is discretised, which has one port.
     layers : Layers, optional
         Boundary layers of the wall, with which the Krylov space has more blocks; None without
         losses.
@@ -164,8 +165,8 @@ class Response(NamedTuple):
     Attributes
     ----------
     fields : ndarray
-        All blocks of the Krylov space in the basis but the last, side by side,
-        (n_elements, n_basis, n_columns). The first block is the response to the ports' loads.
+        All blocks of the Krylov space but the last, side by side, (n_elements, n_basis, n_columns).
+        The first block is the response to the ports' loads.
     last : ndarray
         Last block, (n_elements, n_basis, n_last).
     correction : ndarray
@@ -174,7 +175,7 @@ class Response(NamedTuple):
     impedance : ndarray
         Z in m, modal pressure over modal normal derivative, (n_ports n_modes, n_ports n_modes).
     by_degree : ndarray
-        Correction of Z by the polynomials of higher degree, of the shape of `impedance`.
+        Correction of Z by higher degrees across the tube, of the shape of `impedance`.
     by_element : ndarray
         Correction of Z by one degree more along each element,
         (n_elements, n_ports n_modes, n_ports n_modes).
@@ -243,7 +244,7 @@ def discretise(
 def _in_inner_modes(
     elements: Elements, layout: Layout
 ) -> tuple[Chain, Chain, tuple[Array, Array], tuple[Array, Array], tuple[Array, Array]]:
-    """Return `low`, `high`, `cross`, `rest` and `turns` of :class:`Discretisation`."""
+    """Transform element matrices to the elements' modes: `low` to `turns` of `Discretisation`."""
     n, more = layout.n_basis, layout.n_higher
     chains, turns = [], []
     for start, stop, width in ((0, n, layout.n), (n, n + more, layout.n_all - layout.n)):
@@ -276,7 +277,7 @@ def _add_far_modes(
     radius: float,
     wavenumber: float,
 ) -> None:
-    """Add the impedance of strongly evanescent modes, linearised in k^2, to a port's element.
+    """Add the termination by strongly evanescent modes, linearised in k^2, to a port's element.
 
     `place` holds the number of the element and the indices of its unknowns at the port.
     """
@@ -287,7 +288,10 @@ def _add_far_modes(
 
 
 def far_modes(wall: Wall, wavenumber: float, odd: bool | None) -> PortModes:
-    """Return the strongly evanescent modes, with j' in the `EVANESCENT_RANGE` above port modes."""
+    """Return the ends' strongly evanescent modes: with j' in `EVANESCENT_RANGE` above port modes.
+
+    j' is the cut-on wavenumber times the radius.
+    """
     reach = MARGIN + wavenumber * wall.radius
     return end_modes(wall, reach + EVANESCENT_RANGE, odd, lowest=reach)
 
@@ -295,10 +299,11 @@ def far_modes(wall: Wall, wavenumber: float, odd: bool | None) -> PortModes:
 def far_matrices(
     functions: Array, modes: PortModes, radius: float, wavenumber: float
 ) -> tuple[Array, Array]:
-    """Return stiffness in m and mass in m3, (n, n), of the impedance of strongly evanescent modes.
+    """Return stiffness in m and mass in m3, (n, n), of an end's strongly evanescent modes.
 
-    The impedance sqrt(kt^2 - k^2) is linearised in k^2 about half the square of the highest
-    `wavenumber`. `functions` are the integrals of polynomials times modes in m, (n, n_modes).
+    A mode of cut-on wavenumber kt has dp/dn = -sqrt(kt^2 - k^2) p there, linearised in k^2 about
+    half the square of the highest `wavenumber`, in 1/m. `functions` are the integrals of
+    polynomials times modes in m, (n, n_modes).
     """
     middle = wavenumber**2 / 2
     decay = np.sqrt((modes.zeros / radius) ** 2 - middle)
@@ -374,7 +379,7 @@ def respond(system: Discretisation, shift: float, blocks: int) -> list[Response]
 
 
 def _normalised(block: Array, n_sides: int) -> Array:
-    """Return a block of fields with the columns of each side orthonormalised."""
+    """Return a block of fields with the columns of each parity along z orthonormalised."""
     flat = block.reshape(-1, block.shape[-1])
     bases = [np.linalg.qr(part)[0] for part in np.split(flat, n_sides, axis=1)]
     return np.concatenate(bases, axis=1).reshape(block.shape)

@@ -1,6 +1,7 @@
-"""Direct solution of K - s M along the tube: condensation of the elements, then elimination.
+"""Direct solution of (K - s M) x = f along the tube: condensation of elements, then elimination.
 
-The inner unknowns of an element belong to functions that vanish at both of its ends. They are the
+K is the stiffness, M the mass, s a squared wavenumber, x the field and f the load. The inner
+unknowns of an element belong to functions that vanish at both of its ends. They are the
 coefficients of the element's modes with zero pressure at the ends, for which K and M are diagonal.
 For each s only diagonal matrices have therefore to be inverted in an element [1]_.
 
@@ -21,10 +22,12 @@ from scipy.linalg import solve_triangular
 from acoustube.waves.spectral.polynomials import Array
 
 DEPENDENCE = 1e-12
-"""Eigenvalue of scaled M, relative to the largest, below which functions count as dependent."""
+"""Eigenvalue of the mass matrix, scaled to a unit diagonal, relative to the largest, below which
+functions count as linearly dependent."""
 
 SURPLUS = 1e30
-"""Squared wavenumber in 1/m2 that is assigned to surplus modes, which are zero."""
+"""Squared wavenumber in 1/m2 assigned to the zero vectors that replace modes of an element if its
+functions are linearly dependent."""
 
 
 class Chain(NamedTuple):
@@ -133,7 +136,7 @@ def inner_modes(stiffness: Array, mass: Array) -> tuple[Array, Array]:
 
 
 def _modes(stiffness: Array, mass: Array) -> tuple[Array, Array]:
-    """Return the modes of one element, from matrices with M scaled to a diagonal of ones."""
+    """Return squared wavenumbers and modes of one element, for a mass matrix of unit diagonal."""
     try:
         root = np.linalg.cholesky(mass)
         healthy = np.diag(root).min() ** 2 > DEPENDENCE
@@ -161,7 +164,7 @@ def factor(chain: Chain, shift: float) -> Factors:
     Notes
     -----
     With explicit inverses, all further operations are products of stacks of matrices. The first
-    node is the last to be eliminated, so that it can be held or free with the same factors.
+    node is eliminated last, so that its pressure may be zero or free with the same factors.
     """
     n = chain.mass.shape[-1] // 2
     coupling = chain.pull - shift * chain.drag

@@ -1,4 +1,4 @@
-"""Boundary layers at the ends of a lumen: the wavenumbers and fluxes of the ends' lossy modes."""
+"""Modes of the straight ends of a lumen with boundary layers: axial wavenumbers and fluxes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from acoustube.waves.spectral.polynomials import Array, Index
 from acoustube.waves.spectral.ports import Complex, PortModes
 
 UNCOUPLED = 1e-8
-"""Coupling of two modes by the boundary layers below which it is zero by symmetry."""
+"""Largest magnitude of the entries between two modes, in the dimensionless matrices of the lossy
+eigenproblem, at which these modes count as uncoupled, by symmetry."""
 
 
 def lossy_ends(
@@ -49,8 +50,10 @@ def lossy_ends(
 
     Notes
     -----
-    f G is closed int f psi_a psi_b of the lossless modes along the contour, f G' that of their
-    derivatives along it, kt their cut-on wavenumber, and N = 1 - D_v f G. The eigenproblem is
+    D_v, D_t and f are the layers' thicknesses and factor of :mod:`acoustube.waves.spectral.layers`.
+    f G is the contour integral of f psi_a psi_b for lossless modes psi, f G' that for their
+    derivatives along the contour, kt their cut-on wavenumber, and N = 1 - D_v f G. A lossy mode
+    with coefficients v in the lossless modes solves
     kz^2 N v = (k^2 (1 + (gamma - 1) D_t f G) - kt^2 + D_v f G') v. The flux is N v, normalised to
     v^T N v = 1.
     """
@@ -69,7 +72,7 @@ def lossy_ends(
     vector = np.zeros_like(inertia)
     number = _independent(inertia, right * radius**2)
     for group in range(number.max(initial=-1) + 1):
-        # Modes of equal cut-on that do not couple, as 11c and 11s, would be mixed arbitrarily.
+        # Modes of equal cut-on that do not couple, as 11c and 11s, would else mix arbitrarily.
         own = np.flatnonzero(number == group)
         block = np.ix_(np.arange(len(k)), own, own)
         square[:, own], vector[block] = _eigenmodes(inertia[block], right[block])
@@ -90,14 +93,17 @@ def _independent(inertia: Complex, right: Complex) -> Index:
 
 
 def _eigenmodes(inertia: Complex, right: Complex) -> tuple[Complex, Complex]:
-    """Return the eigenvalues (n, m) and eigenvectors (n, m, m), in the order of lossless modes."""
+    """Return the eigenvalues s (n, m) and eigenvectors v (n, m, m) of right v = s inertia v.
+
+    They are in the order of the lossless modes that are the largest components of v.
+    """
     square, vector = np.linalg.eig(np.linalg.solve(inertia, right))
     back = np.argsort(np.argmax(np.abs(vector), axis=1), axis=1)
     return np.take_along_axis(square, back, 1), np.take_along_axis(vector, back[:, None], 2)
 
 
 def _section_widths(section: Section, thickness: float) -> tuple[Array, Array]:
-    """Return the gap widths h in m and weights b along an end's contour, (n_points,) each."""
+    """Return gap widths in m and weights of the round tube along an end's contour, (n_points,)."""
     contours, halved = section.contours, section.basis.odd is not None
     measured = narrow_sections(contours, section.boxes, halved, thickness)
     width = gap_widths(contours, section.extent, halved, measured)

@@ -3,7 +3,7 @@
 The modes of a section solve its Neumann problem, in the same polynomials as the sound in the
 lumen but of a higher degree. Cut-on wavenumbers are multiplied by an effective radius: that of a
 round bore, or for any other section that of the circle of equal area. For a round bore the products
-are the zeros j'.
+are the zeros j' of the derivatives of the Bessel functions.
 """
 
 from __future__ import annotations
@@ -33,10 +33,11 @@ SECTION_DEGREE = 18
 """Total degree of the polynomials for the modes of a section that is not round."""
 
 MIRROR_PERTURBATION = 1e-6
-"""Weight of the reflection x -> -x, relative to the inverse squared radius, that separates modes of
-equal cut-on."""
+"""Factor, over the squared radius, of the reflection x -> -x that is subtracted from the stiffness:
+it separates symmetric from antisymmetric modes of equal cut-on."""
 SIGN_POINTS = 24
-"""Number of points over half the width, and over half the height, from which signs are derived."""
+"""Number of points over half the width, and over half the height, of a section, at which the signs
+of its modes are determined."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +107,7 @@ def end_functions(wall: Wall, modes: PortModes, basis: Polynomials, box: Array) 
         Some of the modes of :func:`end_modes`.
     basis : Polynomials
     box : ndarray
-        x0, a, y0, b of the end in m, (4,).
+        Centre and half width in x, then in y, of the end's box in m: x0, a, y0, b, (4,).
     """
     if wall.circular:
         return port_functions(modes, basis, box, wall.radius)
@@ -188,7 +189,7 @@ def section_of(wall: Wall, odd: bool | None) -> Section:
     mirror = np.zeros_like(mass)
     if odd is None:
         mirrored = np.where(basis.i % 2 == 0, 1.0, -1.0)
-        # Product with the reflection x -> -x of the functions, from that of Legendre products.
+        # Integrals of functions times reflected ones; products odd in x change sign in reflection.
         mirror = mass @ (basis.mix @ (mirrored[:, None] * np.linalg.inv(basis.mix))).T
     # Pairs of equal cut-on mix arbitrarily; a small multiple of the reflection separates them.
     apart = MIRROR_PERTURBATION / wall.radius**2 * (mirror + mirror.T) / 2
@@ -218,16 +219,16 @@ def section_of(wall: Wall, odd: bool | None) -> Section:
 
 
 def _in_first_lobes(contours: Contours, boxes: Boxes, basis: Polynomials, vectors: Array) -> Array:
-    """Return a pressure of each mode that a round bore's mode has in the first lobe of J_m, (n,).
+    """Return the value of each mode at a point of its first lobe, which determines its sign, (n,).
 
-    It is that at the first of some points in x > 0 at which the pressure is above half of the
-    highest. The points are in columns from the plane x = 0 on, from the axis downwards first.
+    The point is the first of a grid in x > 0 at which the magnitude exceeds half of the largest.
+    The grid has columns of rising x, each taken from the middle down, then from the middle up.
     """
     side = (np.arange(SIGN_POINTS) + 0.5) / SIGN_POINTS
     across, up = np.meshgrid(side, np.concatenate([-side, side]), indexing="ij")
     x, y = across.ravel(), up.ravel()
-    # Where a half line upwards crosses the contour an odd number of times; half a contour is closed
-    # along x = 0.
+    # Inside the contour a half line upwards crosses it an odd number of times. The contour of half
+    # a section is closed along x = 0.
     rim = [(contours.x[0] - boxes.x0) / boxes.a, (contours.y[0] - boxes.y0) / boxes.b]
     (here_x, here_y), (next_x, next_y) = rim, (np.roll(part, -1) for part in rim)
     passes = (here_x <= x[:, None]) != (next_x <= x[:, None])
@@ -240,7 +241,7 @@ def _in_first_lobes(contours: Contours, boxes: Boxes, basis: Polynomials, vector
 
 
 def _end_box(wall: Wall, z: Array) -> Boxes:
-    """Return the bounding box of a straight end at a height z (1,)."""
+    """Return the bounding box of a straight end at a coordinate z in m, (1,)."""
     x, y, *_ = wall.lines(z)
     low, high = np.array([x.min(), y.min()]), np.array([x.max(), y.max()])
     (x0, y0), (a, b) = (low + high) / 2, (high - low) / 2
@@ -252,7 +253,8 @@ def _end_box(wall: Wall, z: Array) -> Boxes:
 def _names(sine: NDArray[np.bool_]) -> tuple[tuple[str, ...], Index]:
     """Return the modes' names and nodal diameters, those of the round bore's modes of equal rank.
 
-    The rank is counted among the modes of equal symmetry, `sine`, in the order of the cut-ons.
+    The rank is counted among the modes of equal symmetry, in the order of the cut-ons. `sine` is
+    True for modes antisymmetric about x = 0.
     """
     highest = 4.0
     while True:

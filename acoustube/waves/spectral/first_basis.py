@@ -1,4 +1,4 @@
-"""Initial discretisation of a solution: polynomial degree, elements and frequency shifts."""
+"""Initial discretisation: polynomial degree, elements, and shifts (squared wavenumbers)."""
 
 from __future__ import annotations
 
@@ -29,18 +29,17 @@ FLAT, FLAT_DEGREES, LEAST_FLAT_DEGREE = 0.03, 2, 12
 which a lumen counts as flat. `FLAT_DEGREES` is the increase of the degree across the tube of flat
 lumens, and `LEAST_FLAT_DEGREE` their least degree."""
 FIELDS_PER_WAVE = {False: 1.9, True: 1.2}
-"""Number of fields of the reduced space per standing wave in the lumen within the band, without and
-with losses."""
+"""Number of fields of the reduced space per resonance of the lumen (half wavelength of a mode) up
+to the highest frequency, without and with losses."""
 KRYLOV_BLOCKS = {False: 4, True: 3}
-"""Number of blocks of the Krylov space at each shift, without and with losses.
+"""Number of blocks of the Krylov space at each shift (squared wavenumber), without and with losses.
 
 The response to the boundary layers is included at the shifts only. With losses, more shifts with
 fewer blocks therefore give smaller errors in a space of the same size."""
 SPARE_SHIFTS = {False: 2, True: 6}
-"""Number of shifts in addition to those required for the standing waves, without and with losses.
-"""
+"""Number of shifts beyond those that `FIELDS_PER_WAVE` requires, without and with losses."""
 GRADING = 1.4
-"""Exponent p: the shifts are equally spaced in k^p."""
+"""Exponent p: the wavenumbers k of the shifts are equally spaced in k^p."""
 ABOVE_CUT_ON = 1.1
 """Wavenumber, relative to a mode's cut-on, of the additional shift that each mode has with losses.
 There the response of the layers to a mode whose axial wavenumber has just become real changes fast.
@@ -55,7 +54,7 @@ of first order in the error of the field, that of the scattering matrix of secon
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Discretisation parameters.
+    """Parameters of a discretisation: degree across the tube, elements along it, and shifts.
 
     Attributes
     ----------
@@ -64,7 +63,7 @@ class Basis:
     edges : ndarray
         Boundaries of the elements along the tube in m, (n_elements + 1,).
     shifts : ndarray
-        Squared wavenumbers in 1/m2, (n_shifts,).
+        Squared wavenumbers in 1/m2 at which the full equations are solved, (n_shifts,).
     flat : bool
         Whether a section is so flat that its walls may be pressed together.
     """
@@ -84,7 +83,7 @@ def first_basis(
     ----------
     wall : Wall
     odd : bool or None
-        Symmetry about x = 0; None for all modes.
+        True for fields antisymmetric about x = 0, False for symmetric ones; None for both.
     k : ndarray
         Wavenumbers in 1/m, (n,), rising.
     lossy : bool
@@ -142,7 +141,7 @@ def flat_elements(wall: Wall, edges: Array) -> NDArray[np.bool_]:
 
 
 def _with_more(shifts: Array, more: Array) -> Array:
-    """Return the wavenumbers `shifts` with those of `more` below the last and not close to any."""
+    """Return the wavenumbers `shifts` and those of `more` below the last and not close to any."""
     close = CLOSEST * np.diff(shifts).max()
     for shift in more[more < shifts[-1]]:
         if np.abs(shifts - shift).min() > close:

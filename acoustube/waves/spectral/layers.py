@@ -1,16 +1,16 @@
-"""Boundary layers at a wall, as an impedance for tangential motion and for compression.
+"""Boundary layers at a wall: viscous losses of tangential motion, thermal losses of compression.
 
 To first order in D_v = sqrt(nu / (j omega)) and D_t = D_v / sqrt(Pr), for the kinematic viscosity
 nu, the air within D_v of a wall does not move along it, and isothermal compression within D_t acts
-like (gamma - 1) D_t more air:
+like (gamma - 1) D_t more air. With stiffness K, mass M and wavenumber k the system matrix is
 
     A = K - k^2 M - D_v K_wall - (gamma - 1) D_t k^2 M_wall,
 
 where K_wall and M_wall are the integrals over the wall of grad p . grad q, with gradients along the
 wall, and of p q. If the air is only a few layers wide, this subtracts more than the air
 contributes. There a slit of height h loses D tanh(h / 2D) at each wall instead of D, and a round
-tube of diameter h loses D I1(h / 2D) / I0(h / 2D). The wall's curvature kappa determines the
-mixture of the two, and D is replaced by
+tube of diameter h loses D I1(h / 2D) / I0(h / 2D), with D either thickness. The wall's curvature
+kappa determines the mixture of the two, and D is replaced by
 
     f D,    f = (1 - b) tanh(h / 2D) + b I1(h / 2D) / I0(h / 2D),    b = kappa h / 2 from 0 to 1,
 
@@ -39,34 +39,43 @@ from acoustube.waves.spectral.ports import Complex
 from acoustube.waves.spectral.walls import Contours
 
 NARROW_SECTION = 60.0
-"""Height or width of a section, over ``|D_v|``, below which gaps are measured at each point."""
+"""Height or width of a section, relative to the thickness ``|D_v|`` of the viscous boundary layer,
+below which the gap between walls is measured at each point of the contour."""
 NARROW_GAP = 12.0
-"""Gap between walls, over ``|D_v|``, below which the gaps of a higher and wider section are
-measured too. In wider gaps f is that of a wide section within 1e-3."""
+"""Gap between walls, relative to the viscous layer's thickness ``|D_v|``, below which gaps are
+measured in dented sections wider than `NARROW_SECTION`. In wider gaps the factor f of the layers is
+that of a wide section within 1e-3."""
 FEW_POINTS = 60
-"""Approximate number of points round a contour from which such gaps are found."""
+"""Approximate number of points round a contour from which gaps below `NARROW_GAP` are found."""
 WIDE_GAP = 30.0
-"""Gap, over ``|D_v|`` at the lowest frequency, that all gaps of a wide element exceed."""
+"""Smallest gap in an element that counts as wide, relative to the viscous layer's thickness
+``|D_v|`` at the lowest frequency."""
 MANY_LAYERS = 15.0
-"""Real part of h / 2D from which f is computed by its asymptotic series."""
+"""Real part of h / 2D, gap over twice the complex layer thickness, from which the factor f of the
+layers is computed by its asymptotic series."""
 TANGENTIAL = 1e-3
-"""Sine of the angle to the wall below which another point counts as a neighbour on that wall."""
+"""Sine of the angle between a wall and the line to another point, below which that point counts as
+a neighbour on the same wall."""
 LEAK = 0.7
 """Height of the slit whose mean velocity a sealed gap has, relative to the gap: air that could not
 move at all would have mass without stiffness, which no polynomials resolve. At 0.3 the error
-estimate under a 25 mm rod at 8 mm is 2e-2, at 0.7 it is 1e-3 (of the lossless fields only)."""
+estimate at a depth of 8 mm under a 25 mm rod is 2e-2, at 0.7 it is 1e-3 (lossless fields only)."""
 SEALING_WIDTH = 0.2
-"""Range of heights, relative to the sealing gap, over which walls pass from sealed to open. Gaps
+"""Range of gaps, relative to the sealing gap, over which walls pass from sealed to open. Gaps
 vary little over a contact: if it were sealed at one height exactly, it would open at once over its
 whole width, and no quadrature along the tube would converge."""
 SAMPLES = 10
-"""Number of frequencies from which the functions of position are derived."""
+"""Number of frequencies from which the functions of position of the layers are derived."""
 LEAST_PART = 1e-4
-"""Smallest singular value of a function that is kept, relative to the norm of all values."""
+"""Smallest singular value of a function of the layers that is kept, relative to the norm of all
+values."""
 
 
 class LayerSeries(NamedTuple):
-    """f D_v and (gamma - 1) f D_t as sums of products of functions of frequency and of position.
+    """Corrected thicknesses of boundary layers, sums of functions of frequency times of position.
+
+    These are f D_v and (gamma - 1) f D_t, with the complex viscous and thermal thicknesses D_v and
+    D_t in m, and their factor f in narrow gaps.
 
     Attributes
     ----------
@@ -88,9 +97,12 @@ def layer_thickness(frequency: Array, air: Air) -> tuple[Complex, Complex]:
 
 
 def filling(width: Array, roundness: Array, thickness: Complex) -> Complex:
-    """Return the factor f of the thickness D, from gaps h in m, weights b and D in m, broadcast."""
+    """Return the factor f of the layer thickness D in a gap h, with the weight b of a round tube.
+
+    `width` is h in m, `roundness` b, and `thickness` D in m; they are broadcast.
+    """
     argument, b = np.broadcast_arrays(width / (2 * thickness), roundness)
-    # Asymptotic to a relative 1e-7 where the air is many layers wide, which is mostly the case.
+    # The series has a relative error of 1e-7 where the air is many layers wide, mostly the case.
     inverse = 1 / argument
     series = 0.5 + inverse * (0.125 + inverse * (0.125 + 0.195 * inverse))
     found: Complex = np.array(1 - b * inverse * series)
@@ -178,7 +190,7 @@ def narrow_sections(
 
 
 def layer_series(points: WallPoints, frequency: Array, air: Air) -> LayerSeries:
-    """Return the boundary layers' f D at points of a wall over a band, as sums of products.
+    """Return the corrected thicknesses of the layers at points of a wall, as sums of products.
 
     Parameters
     ----------
@@ -196,7 +208,7 @@ def changed_series(
     points: WallPoints, shifted: tuple[WallPoints, WallPoints], step: float, frequency: Array,
     air: Air,
 ) -> LayerSeries:  # fmt: skip
-    """Return the derivative of f D by a shape parameter, at points that move with a wall.
+    """Return derivatives of the corrected thicknesses by a parameter, at points moving with a wall.
 
     Parameters
     ----------
@@ -217,7 +229,7 @@ def changed_series(
 
 
 def _sampled(frequency: Array) -> Array:
-    """Return the frequencies from which the functions of position are derived."""
+    """Return the frequencies in Hz from which the functions of position are derived."""
     if len(frequency) == 1:
         return frequency
     return np.geomspace(frequency[0], frequency[-1], SAMPLES)
@@ -228,7 +240,7 @@ def _thickest(sampled: Array, air: Air) -> float:
 
 
 def _fillings(gaps: Gaps, sampled: Array, air: Air) -> Complex:
-    """Return f for D_v, then f for D_t, (2 n_sampled, n_sections n_points)."""
+    """Return factors f of viscous, then thermal layers, (2 n_sampled, n_sections n_points)."""
     width, roundness, share = gaps.width.ravel(), gaps.roundness.ravel(), gaps.sealed.ravel()
     layers = layer_thickness(sampled, air)
     both = np.stack([filling(width, roundness, d) for layer in layers for d in layer[:, None]])
@@ -242,7 +254,7 @@ def _fillings(gaps: Gaps, sampled: Array, air: Air) -> Complex:
 def _series(
     points: WallPoints, gaps: Gaps, values: Complex, sampled: Array, frequency: Array, air: Air
 ) -> LayerSeries:
-    """Return f D or its derivative as sums of products, from values of f as by `_fillings`."""
+    """Return the corrected thicknesses f D, or derivatives, from values of f from `_fillings`."""
     rows = np.concatenate([values.real, values.imag])
     number = points.rule.element
     of_element = np.repeat(number, gaps.width.shape[1])
@@ -264,13 +276,13 @@ def _series(
 def _parts(rows: Array, wide: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return values (n, n_points) as functions (n, n_parts) times weights (n_parts, n_points).
 
-    The functions of the wide points come first. The weights of the other functions are zero at wide
-    points, so that their integrals extend over few elements only.
+    The functions of the wide points (in elements without narrow gaps) come first. The weights of
+    the other functions are zero at wide points, so that their integrals extend over few elements.
     """
     left, functions, weights = rows, [], []
     least = (LEAST_PART * np.linalg.norm(rows)) ** 2
     for where in (wide, ~wide):
-        # From the smaller product matrix, because the points are many.
+        # Singular vectors from the smaller product matrix, because the points are many.
         square, turned = np.linalg.eigh(left[:, where] @ left[:, where].T)
         functions.append(turned[:, square > least])
         weights.append(functions[-1].T @ left)

@@ -47,16 +47,16 @@ frequencies in addition to those that this requires."""
 LOSSY_BLOCKS = 3
 """Number of blocks of the Krylov space at each sampled frequency."""
 CHECKS = 12
-"""Largest number of frequencies at which the error is computed; it is interpolated to the others.
-"""
+"""Largest number of frequencies at which the error of S with losses is computed; it is interpolated
+to the others."""
 MOVING_SAMPLES = 1e-3
-"""Factor that multiplies `SAMPLE_TOLERANCE` if derivatives are required, because their error is of
-first order in the error of the fields."""
+"""Factor that multiplies `SAMPLE_TOLERANCE`, the singular value below which solutions are dropped,
+if derivatives are required: their error is of first order in the error of the fields."""
 LAYER_DEGREE = 6
-"""Degree of polynomials that determines the number of quadrature points round the tube for the
-boundary layers."""
+"""Total degree of polynomials for whose products the number of quadrature points round the tube
+suffices, in the integrals over the boundary layers."""
 LAYER_BLOCKS = {False: 2, True: 3}
-"""Number of Krylov blocks for the layers at each shift; True is the key for flat lumens."""
+"""Number of Krylov blocks for boundary layers at each shift; the key True is for flat lumens."""
 LAYER_PIECES = 2
 """Number of pieces of an element with a flat section, for the quadrature of the layers: walls pass
 from open to sealed within a fraction of the element. In other elements kinks of the wall do not
@@ -93,7 +93,7 @@ def _pieces(wall: Wall, edges: Array) -> Array:
 
 
 def layer_functions(system: Discretisation, points: WallPoints) -> TangentialFunctions:
-    """Return the functions of the basis and their tangential derivatives at points of a wall."""
+    """Return the basis across the tube and its tangential derivatives at points of a wall."""
     richer = tangential_functions(points, wall_functions(points, system.functions))
     return TangentialFunctions(*(part[:, : system.layout.n] for part in richer))
 
@@ -125,7 +125,7 @@ def wall_projections(
 
 
 class LossySide(NamedTuple):
-    """Solution of one parity along z.
+    """Solution with losses for one parity along z.
 
     Attributes
     ----------
@@ -167,7 +167,7 @@ def lossy_scattering(
     *,
     moving: bool = False,
 ) -> tuple[list[LossySide], Complex, Array]:
-    """Return solutions with losses, the ends' wavenumbers, and the change of S in a smaller space.
+    """Return solutions with losses, the ends' axial wavenumbers, and an estimated error of S.
 
     Parameters
     ----------
@@ -190,8 +190,8 @@ def lossy_scattering(
     kz : ndarray
         Axial wavenumbers of the lossy modes of an end in 1/m, (n, n_modes).
     lacking : ndarray
-        Largest change of a coefficient of propagating modes in the smaller spaces, (n,),
-        interpolated from those at a few frequencies.
+        Largest sum, over coefficients of propagating modes, of the change in the smaller spaces and
+        of that in a direct solution, (n,), interpolated from those at a few frequencies.
     """
     k = 2 * np.pi * frequency / air.sound_speed - 1j * air.absorption(frequency)
     kz, flux = lossy_ends(k, system.modes, system.radius, system.rim, frequency, air)

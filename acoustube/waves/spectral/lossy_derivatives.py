@@ -2,8 +2,9 @@
 
 With losses the integrals over the wall change too: their points move, the area and directions of
 the wall change, and so do the gaps, on which the layers depend. The polynomials stay fixed in
-space. With the system matrix A, the loads R = C F of the lossy modes, whose fluxes are F, and their
-fields x from A x = R, the impedance matrix Z = R^T x changes by
+space. The system matrix is A. With the loads C of the lossless modes and the fluxes F of the lossy
+ones, the loads of the latter are R = C F, and their fields x solve A x = R. The impedance matrix
+Z = R^T x changes by
 
     dZ = dR^T x + x^T dR - x^T dA x,
 
@@ -65,7 +66,7 @@ def wall_changes(
     frequency: Array,
     air: Air,
 ) -> WallChanges:
-    """Return the derivatives of the wall's integrals in the space of each side.
+    """Return the derivatives of the boundary-layer terms in the reduced space of each side.
 
     Parameters
     ----------

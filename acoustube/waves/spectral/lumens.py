@@ -64,7 +64,7 @@ def wall_of(lumen: Rings) -> Wall:
     Parameters
     ----------
     lumen : Rings
-        Whose first two and last two rings are equal, as those of a tube beyond a press.
+        Its first two and its last two rings must be equal, as those of a tube beyond a press.
 
     Returns
     -------
@@ -78,9 +78,9 @@ def wall_of(lumen: Rings) -> Wall:
 
     Notes
     -----
-    Lines through points of equal index are cubic splines through the rings of the pressed part,
-    over the mean z of the rings, and straight from there to the last ring of the straight part on
-    each side. Round ends are moved to x = y = 0.
+    Lines through points of equal index are cubic splines over the rings' mean z, from the first to
+    the last ring that differs from the ends, and straight from these to the next ring outwards.
+    Round ends are moved to x = y = 0.
     """
     rings = lumen.rings - [0.0, 0.0, lumen.position]
     changed = np.abs(rings[..., :2] - rings[:1, :, :2]).max(axis=(1, 2)) > lumen.same
@@ -162,7 +162,7 @@ class Lines:
         return place[..., 0], place[..., 1], along[..., 0], along[..., 1]
 
     def _at(self, s: Array, axis: int) -> tuple[Array, Array]:
-        """Return coordinate `axis` at mean heights s of rings in m, and its s derivative.
+        """Return coordinate `axis` of the lines at s, the rings' mean z in m, and its s derivative.
 
         `s` and both results are (n, n_around).
         """
@@ -180,10 +180,10 @@ class Lines:
         place: Array,
         along: Array,
     ) -> tuple[Array, Array]:
-        """Return `place` and `along` with straight lines from ring `rim` to ring `end` and on.
+        """Return `place` and `along` with those of straight lines where the mask `there` is True.
 
-        They are replaced where the mask `there` is True. Beyond the ring `end` the lines are
-        parallel to z.
+        `place` are x and y in m, `along` their z derivatives, (n, n_around, 2). The straight lines
+        lead from ring `rim` to ring `end`; beyond it they are parallel to z.
         """
         start, stop = self.rings[rim], self.rings[end]
         slope = (stop[:, :2] - start[:, :2]) / (stop[:, 2:] - start[:, 2:])

@@ -20,19 +20,19 @@ from acoustube.waves.spectral.walls import Wall
 
 DISPLACEMENT = 1e-6
 """Largest displacement of the wall in either direction, relative to the radius of the ends. The
-relative error of a derivative by rounding is then 1e-10, by differences 1e-7 in a gap of 20 um."""
+relative error of a derivative is then 1e-10 by rounding, 1e-7 by differencing in a 20 um gap."""
 SLOPE_STEP = 1e-5
-"""Distance along the tube for the z derivative of a motion, relative to the radius."""
+"""Step in z of the central differences for the z derivative of a motion, relative to the radius."""
 SAMPLES = 200
 """Number of sections at which a motion is evaluated for its maximum and its symmetries. As many
 mirror images about the middle are added."""
 ALIKE = 1e-5
-"""Largest difference between displacements that count as equal, relative to the largest of all."""
+"""Largest difference of displacements that count as equal, relative to the largest displacement."""
 
 Velocity = Callable[[Array, Array], tuple[Array, Array]]
-"""Function of z (n, 1) in m and of the contour parameter t from 0 to 2 pi, (n_points,). The values
-are the displacements of the wall in x and in y in m per unit of the motion's parameter,
-(n, n_points) each."""
+"""Motion of a wall: function of z (n, 1) in m and of the contour parameter t from 0 to 2 pi,
+(n_points,). Its values are the displacements of the wall in x and in y in m per unit of the
+parameter, (n, n_points) each."""
 
 
 class Motion(NamedTuple):

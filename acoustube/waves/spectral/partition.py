@@ -47,7 +47,7 @@ def partition(wall: Wall, wavenumber: float) -> Array:
 
 
 def _change(wall: Wall, z: Array) -> Array:
-    """Return the relative change of the section's height or width along z, in 1/m."""
+    """Return the relative change per length of a section's height or width, the larger, in 1/m."""
     x, y, *_ = wall.lines(z)
     found = []
     for part in (x, y):
@@ -58,7 +58,10 @@ def _change(wall: Wall, z: Array) -> Array:
 
 
 def _between(low: float, high: float, z: Array, passed: Array) -> Array:
-    """Return the boundaries of elements with equal integrals of the density, in an interval."""
+    """Return the boundaries in m of elements between `low` and `high`.
+
+    The density of elements, whose integral up to `z` is `passed`, has equal integrals over them.
+    """
     first, last = np.interp([low, high], z, passed)
     n = max(1, int(np.ceil(last - first - 1e-9)))
     inner = np.interp(np.linspace(first, last, n + 1)[1:-1], passed, z)

@@ -177,7 +177,7 @@ def _derivatives(degree: int) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=8)
 def _products(degree: int) -> Array:
-    """Return the expansion of P_i P_k in the P_m, (degree + 1, degree + 1, 2 degree + 1)."""
+    """Return Legendre coefficients of products P_i P_k, (degree + 1, degree + 1, 2 degree + 1)."""
     x, w = np.polynomial.legendre.leggauss(2 * degree + 1)
     p = legendre(2 * degree, x)
     low = p[: degree + 1]
@@ -229,7 +229,7 @@ def _antiderivatives(degree: int) -> Array:
 
 
 def gram(moment: Array, degree: int, i: Index, j: Index) -> Array:
-    """Return the Gram matrices of the functions P_i(X) P_j(Y) over sections, from moments.
+    """Return Gram matrices of products P_i(X) P_j(Y) of normalised Legendre polynomials.
 
     Parameters
     ----------

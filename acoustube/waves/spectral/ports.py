@@ -7,9 +7,9 @@ Q = D Z D
 
     b = S a,    S = (I + Q)^-1 (Q - I),
 
-which is regular at cut-ons, where D vanishes. Modes far below their cut-on are terminated by their
-evanescent impedance: sqrt(kt^2 - k^2) with the cut-on wavenumber kt, linearised in k^2 about half
-the square of the highest wavenumber.
+which is regular at cut-ons, where D vanishes. Modes far below their cut-on are terminated by the
+condition dp/dn = -sqrt(kt^2 - k^2) p of outward decay, with the cut-on wavenumber kt, linearised in
+k^2 about half the square of the highest wavenumber.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ MARGIN = 1.3
 """Port modes have j' up to the largest k R plus this margin: they propagate or almost propagate. j'
 is the cut-on wavenumber times the radius R."""
 EVANESCENT_RANGE = 12.0
-"""Range of j' above that of the port modes: evanescent modes in this range are terminated by their
-impedance."""
+"""Range of j' above that of the port modes in which evanescent modes terminate the ends by their
+outward decay. j' is the cut-on wavenumber times the radius."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +68,7 @@ def port_modes(highest: float, odd: bool | None, lowest: float = -1.0) -> PortMo
     """Return the modes of a round bore with `lowest` < j'mn <= `highest`.
 
     `odd` is True for those antisymmetric about x = 0, False for the symmetric ones; None for both.
+    j'mn is the cut-on wavenumber times the radius, a zero of the derivative of J_m.
     """
     found = [] if odd else [(0.0, "00", 0, False)]
     for m in range(int(highest) + 1):
@@ -124,12 +125,16 @@ def port_functions(modes: PortModes, basis: Polynomials, box: Array, radius: flo
 
 
 def wall_signs(modes: PortModes) -> Array:
-    """Return the signs of the modes' radial functions at the wall."""
+    """Return the signs, (n,), of the radial functions J_m of a round bore's modes at the wall."""
     return np.asarray(np.sign(jv(modes.m, modes.zeros)))
 
 
 def axial_wavenumbers(k: Array, zeros: Array, radius: float) -> Complex:
-    """Return the axial wavenumbers k_z in 1/m, (n_frequencies, n_modes), of waves towards +z."""
+    """Return axial wavenumbers k_z without losses in 1/m, (n_frequencies, n_modes), towards +z.
+
+    `k` are wavenumbers in 1/m, (n_frequencies,), and `zeros` cut-on wavenumbers times the radius.
+    Below its cut-on k_z of a mode is negative imaginary.
+    """
     root = np.sqrt(k[:, None] ** 2 - (zeros / radius) ** 2 + 0j)
     return np.where(root.imag > 0, -root, root)
 

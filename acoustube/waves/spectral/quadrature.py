@@ -15,7 +15,7 @@ LEAST_POINTS = 3
 SPARE_POINTS = 3
 """Number of Gauss points between two knots in addition to those for the polynomials."""
 MOST_PIECES = 24
-"""Approximate largest number of pieces of an element; with more knots, some are skipped."""
+"""Approximate largest number of pieces of an element between knots; surplus knots are skipped."""
 
 
 class AxialRule(NamedTuple):

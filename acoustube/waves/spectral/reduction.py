@@ -14,12 +14,13 @@ from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex
 
 DEPENDENCE_TOLERANCE = 1e-12
-"""Singular value of the parts of normalised fields outside the span, below which a direction is
-dropped."""
+"""Singular value below which a direction of new fields is dropped as linearly dependent. The fields
+have unit norm; then their parts in the span of the known fields are subtracted."""
 
 NO_MASS, NEGATIVE_MASS = 1e-12, -1e-8
-"""Eigenvalues of scaled M, relative to the largest: below the first a direction has no mass except
-for rounding, below the second the volume is negative, because the sections overlap themselves."""
+"""Eigenvalues of the mass matrix, scaled to a unit diagonal, relative to the largest. Below the
+first a direction has no mass except for rounding. Below the second the volume is negative, because
+the sections overlap themselves."""
 SAMPLE_TOLERANCE = 1e-5
 """Singular value of the sampled solutions with losses, relative to the largest, below which a
 direction is dropped."""
@@ -28,7 +29,9 @@ MAX_MATRICES = 32
 
 
 class Reduced(NamedTuple):
-    """Galerkin projection of a lumen onto fields of one parity along z, or of none.
+    """Galerkin projection of a lumen's matrices onto a few fields.
+
+    The fields of a lumen that is symmetric along z have one parity.
 
     Attributes
     ----------
@@ -117,7 +120,7 @@ def ritz(stiffness: Array, mass: Array) -> tuple[Array, Array]:
     Notes
     -----
     Where the walls almost touch, polynomials over the whole section are linearly dependent, up to
-    rounding, on the air that is left, and M is singular. The span is then that of the eigenvectors
+    rounding, in the remaining air, and M is singular. The span is then that of the eigenvectors
     of M with nonzero eigenvalues.
     """
     stiffness, mass = ((matrix + matrix.T) / 2 for matrix in (stiffness, mass))
@@ -136,7 +139,7 @@ def ritz(stiffness: Array, mass: Array) -> tuple[Array, Array]:
 
 
 def projected(system: Discretisation, matrix: Array, space: Reduced) -> Array:
-    """Return the projection (r, r) of element matrices (n_elements, size, size) in polynomials."""
+    """Project matrices in polynomials, (n_elements, size, size), onto a reduced space, (r, r)."""
     fields, corrections = system.in_polynomials(space.fields, space.corrections)
     everything = np.zeros((*matrix.shape[:2], space.size))
     n, count = system.layout.n_basis, fields.shape[-1]
@@ -154,8 +157,8 @@ def _orthonormal(new: Array, old: Array) -> Array:
     known = old.reshape(len(flat), old.shape[-1])
     flat = flat / np.linalg.norm(flat, axis=0)
     flat -= known @ (known.T @ flat)
-    # By singular values, not by the diagonal of R: a field dropped by its diagonal entry would be
-    # missing from later fields.
+    # By singular values, not by the diagonal of the factor R of QR: a field dropped by its diagonal
+    # entry would be missing from later fields.
     _, size, turned = np.linalg.svd(np.linalg.qr(flat, mode="r"))
     kept = size > DEPENDENCE_TOLERANCE
     flat = flat @ (turned[kept].T / size[kept])
@@ -181,7 +184,7 @@ class LossyModel(NamedTuple):
     ports : ndarray
         Projected loads of the ports' modes, (r, n_ports n_modes).
     stiffness, mass : ndarray
-        Matrices of the wall, one for each function of position, (n_parts, r, r).
+        Integrals over the wall, one for each function of position of the losses, (n_parts, r, r).
     """
 
     square: Array
@@ -321,11 +324,10 @@ def lossy_impedance(
 
 
 def impedance(reduced: Reduced, wavenumber: Array) -> Array:
-    """Return the impedance matrix Z of the ports in m, (n_frequencies, n, n).
+    """Return the impedance matrix Z of the ports without losses in m, (n_frequencies, n, n).
 
-    Notes
-    -----
-    Z = C^T (K - k^2 M)^-1 C, computed with the eigenvectors of K and M.
+    Z = C^T (K - k^2 M)^-1 C, with the ports' loads C, stiffness K, mass M and wavenumbers k in 1/m,
+    is computed with the eigenvectors of K and M.
     """
     square, vector = ritz(reduced.stiffness, reduced.mass)
     ports = vector.T @ reduced.ports

@@ -21,7 +21,7 @@ from acoustube.waves.spectral.lumens import NOT_STRAIGHT
 from acoustube.waves.spectral.polynomials import Array
 
 STEP = 0.06
-"""Distance between sections, relative to the size of the end."""
+"""Distance between sections, relative to the size (larger of width and height) of the end."""
 MOST_SECTIONS = 1200
 """Largest number of sections of one surface."""
 AROUND = 240
@@ -123,9 +123,9 @@ def _heights(surface: trimesh.Trimesh, size: float) -> Array:
 def _changed_part(
     surface: trimesh.Trimesh, size: float, first: float, last: float
 ) -> tuple[float, float]:
-    """Return the z between which the section differs from those at `first` and at `last`.
+    """Return the range of z in m in which the section differs from those of the two ends.
 
-    These are the sections of the two ends. The faces between their planes are not part of the wall.
+    Their sections are those at z = `first` and z = `last`. The flat faces of the ends do not count.
     """
     low, high = surface.bounds[:, 2]
     heights, edge = surface.triangles[..., 2], 1e-9 + 1e-6 * (high - low)
@@ -175,7 +175,7 @@ def _contour(surface: trimesh.Trimesh, height: float, n: int) -> Array:
 
 
 def _even(loop: Array, n: int) -> Array:
-    """Return n points on a closed polygon, anticlockwise from its lowest point under the middle."""
+    """Return n evenly spaced points on a polygon, anticlockwise from below its centroid, (n, 2)."""
     x, y = loop.T
     ahead = np.roll(loop, -1, axis=0)
     cross = x * ahead[:, 1] - ahead[:, 0] * y

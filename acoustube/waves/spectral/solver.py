@@ -1,12 +1,12 @@
-"""Scattering matrix of a lumen over a band, adaptively refined to an error tolerance.
+"""Scattering matrix S of a lumen over a band, adaptively refined to an error tolerance.
 
 The discrete wave equation is solved at a few squared wavenumbers, the shifts. The solutions and
 their k^2 derivatives span a space in which the whole band is then solved, a rational Krylov space
 [1]_. Errors are estimated by the change of S in enriched spaces:
 
-* errors of the degree across the tube, and of the elements along it: at each shift the residual is
-  solved for in the functions that the basis lacks (the next two degrees; one more degree along each
-  element), and these corrections are added to the reduced space;
+* errors of the degree across the tube, and of the elements along it: at each shift a correction by
+  the residual is solved for in the functions that the basis lacks (the next two degrees; one more
+  degree along each element), and these corrections are added to the reduced space;
 * error of the shifts: shifts are added where S changes when the last Krylov block of every shift is
   added.
 
@@ -14,8 +14,8 @@ S is taken from the largest space. Its error estimate is `ERROR_SAFETY` times th
 truncation error, extrapolated from these changes, and of the error of the shifts.
 
 With losses S is taken from the span of the lossless fields of the basis, without corrections. Its
-error estimate is the largest of the estimate without losses, `LOSSY_SAFETY` times the change of S
-in a smaller span, and, in flat lumens, the change of S in a poorer basis.
+error estimate is the largest of the estimate without losses, `LOSSY_SAFETY` times the changes of S
+in a smaller span and in a direct solution, and, in flat lumens, the change of S in a poorer basis.
 
 References
 ----------
@@ -73,12 +73,13 @@ ERROR_WINDOW = 3
 """Number of frequencies on either side over which the largest error is taken, because an estimated
 error may pass through zero."""
 FIRST_SHARE = 0.5
-"""Initial bound, as a fraction of the tolerance, of the error by degree and of that by elements."""
+"""Initial bound of the error of S by the degree across the tube, and of that by the elements along
+it, as a fraction of the tolerance."""
 END_DEVIATION = 2e-3
 """Largest deviation of the wall from its ends' circle, or of its ends from each other, relative to
 `Wall.radius`."""
 MAX_SOLUTIONS = 2
-"""Largest number of solutions of the whole band."""
+"""Largest number of bases in which the whole band is solved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +143,7 @@ def scatter_spectral(
         Reference planes of the ports at low z and at high z: coordinates z in m, in the system of
         the wall. The ends are continued straight to these planes.
     lossy : bool
-        With the losses at the wall and in the air.
+        Whether to include the losses at the wall and in the air.
     symmetric_only : bool
         For a lumen symmetric about x = 0, compute the symmetric modes only.
     velocity : callable, optional
@@ -236,7 +237,7 @@ def _joined(parts: list[_Part], task: _Task) -> SpectralScattering:
 
 
 def _part(task: _Task, odd: bool | None) -> _Part:
-    """Return the scattering matrices of the modes of one symmetry."""
+    """Return the scattering matrices of the modes of one symmetry about x = 0."""
     wall, k, tolerance = task.wall, task.k, task.tolerance
     moving = task.motion is not None
     basis = first_basis(wall, odd, k, lossy=task.lossy, moving=moving)
@@ -307,7 +308,7 @@ def _with_losses(
 ) -> tuple[Complex, Complex, Complex, Complex, Array]:
     """Return S, its derivative, the ends' axial wavenumbers and their derivative, and S's error.
 
-    The error, (n,), is the largest change of S in a smaller space.
+    The error, (n,), is `lacking` of :func:`lossy_scattering`.
     """
     assert system.layers is not None
     # Without corrections, which were computed for the lossless fields.
@@ -336,7 +337,7 @@ def _estimated(error: Array, wall: Wall) -> Array:
 def _at_reference(
     s: Complex, moved: Complex, kz: Complex, drift: Complex, system: Discretisation, task: _Task
 ) -> tuple[Complex, Complex, tuple[str, ...], Array]:
-    """Return S and its derivative at the reference planes, and the names and j' of the modes."""
+    """Return S and its derivative at the reference planes, and the modes' names and cut-ons k R."""
     reach = task.k * system.radius
     n = int(np.sum(system.modes.zeros < reach[-1]))
     zeros = system.modes.zeros[:n]

@@ -1,16 +1,17 @@
-"""Truncation error of a basis, relative to the change by the next degrees.
+"""Truncation error of a basis, relative to the change of S by the next degrees.
 
-The error estimate solves for the residual in the functions of the next degrees only.
+The error estimate takes only corrections in the functions of the next degrees.
 
 Across the tube, the field's coefficients fall slowly with the degree beside a narrow gap, so that
-higher degrees contribute as much again. If the energies fall by a factor q from one step of the
-degree to the next, the whole truncation error is 1 / (1 - q) times the change by the first step; q
-is taken from the highest degrees of the solution itself.
+higher degrees contribute as much again. If the energies at successive steps of the degree have the
+ratio q < 1, the whole truncation error is 1 / (1 - q) times the change by the first step; q is
+taken from the highest degrees of the solution itself.
 
 Along the tube this extrapolation fails, because of features of the wall: wrinkles as long as an
-element of the press's mesh, two to a line element, add coefficients of degrees 10 to 13 to a field
-whose own coefficients have decayed at lower degrees. The residual is therefore integrated against
-`MORE_DEGREES` further degrees, point by point, and solved for with each element's mean section.
+element of the press's finite-element mesh, half as long as one of the elements here, add
+coefficients of degrees 10 to 13 to a field whose other coefficients have decayed at lower degrees.
+The residual is therefore integrated against `MORE_DEGREES` further degrees, point by point, and the
+correction is solved for with each element's mean section.
 """
 
 from __future__ import annotations
@@ -22,9 +23,10 @@ from acoustube.waves.spectral.elimination import inner_modes
 from acoustube.waves.spectral.polynomials import Array, gauss, lobatto
 
 SLOWEST = 0.9
-"""Upper bound of the factor q: a slower decay means that the field is not resolved."""
+"""Upper bound of the ratio q of the coefficients' energies at successive steps of the degree across
+the tube: a slower decay means that the field is not resolved."""
 MORE_DEGREES = 6
-"""Number of degrees along an element, beyond its own, in which the residual is solved for."""
+"""Number of degrees along an element, beyond its own, in which a correction is solved for."""
 
 
 def excess_across(system: Discretisation, responses: dict[float, list[Response]]) -> float:
@@ -39,7 +41,7 @@ def excess_across(system: Discretisation, responses: dict[float, list[Response]]
     layout, functions = system.layout, system.functions
     degree = functions.degree - DEGREE_INCREASE
     counts = [functions.count(degree - 2 * step) for step in (0, 1, 2)]
-    # Gradients across grow as the degree.
+    # Energies are of gradients, which grow in proportion to the degree.
     total = (functions.i + functions.j)[: layout.n] ** 2.0
     zeros = np.tile(system.modes.zeros, len(system.ports))
     high, low = 0.0, np.finfo(float).tiny
@@ -56,7 +58,7 @@ def excess_across(system: Discretisation, responses: dict[float, list[Response]]
 def missing_along(
     system: Discretisation, responses: dict[float, list[Response]]
 ) -> dict[float, list[Array]]:
-    """Return the corrections of Z in m by `MORE_DEGREES` further degrees along each element.
+    """Return corrections of impedance in m by `MORE_DEGREES` further degrees along each element.
 
     Parameters
     ----------
@@ -87,7 +89,7 @@ def missing_along(
                 np.tensordot(part[:first, here].T, own[number], 1) for part in (value, slope / h)
             )
             mass, along, across = (part[here] for part in system.sections)
-            # Factors of L_j' and of L_j in the residual of the wave equation.
+            # Factors of the shape functions' slopes and values in the residual.
             flow = mass @ rise + along @ field
             source = along.swapaxes(1, 2) @ rise + across @ field - shift * (mass @ field)
             residual = np.tensordot(rule.weight[here] * slope[first:, here], flow, 1)
@@ -104,7 +106,7 @@ def missing_along(
 
 
 def _coefficients(system: Discretisation, fields: Array) -> Array:
-    """Return the coefficients of L_j P_i of fields, (n_elements, order + 1, n, n_fields)."""
+    """Return the coefficients of fields along and across, (n_elements, order + 1, n, n_fields)."""
     layout = system.layout
     nothing = np.zeros((len(fields), layout.n_higher, 0))
     own = system.in_polynomials(fields, nothing)[0]

@@ -1,4 +1,4 @@
-"""Walls of lumens as contours of their sections, with bounding boxes.
+"""Walls of lumens as contours of their sections.
 
 A wall is a family of closed contours x(t, z), y(t, z), with t from 0 to 2 pi. Lines of constant t
 run along the tube, and lines of constant z around it, anticlockwise seen with z towards the reader.
@@ -73,7 +73,7 @@ class Wall:
     middle : float
         Coordinate z of the middle in m.
     circular : bool
-        False if the ends are straight, but not round.
+        True if the straight ends are round, about x = y = 0.
     sealing_gap : float
         Height in m of a gap that is half sealed in a computation with losses; zero if no gap is
         sealed. See `layers.SEALING_WIDTH`.
