@@ -105,7 +105,7 @@ def calibrate(
 
 
 def _free_path(out: Path | None, name: str | None) -> Path:
-    """Return the file of a calibration from its path or its name; raise if there is such a file."""
+    """Return the path of a calibration to write, from its path or name; raise if it exists."""
     from acoustube.runs.recordings import calibration_folder
 
     if out is not None and name is None:

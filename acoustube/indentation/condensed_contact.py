@@ -37,8 +37,8 @@ larger one linearises the contact as well."""
 ROUNDS = 6
 """Largest number of times that one step extends the zone, the nodes whose contact changes."""
 NEGLIGIBLE = 1e-4
-"""Largest nonlinear part of the change of a face's contact forces, relative to the norm of the
-residual, at which the contact of the face is linearised."""
+"""Bound up to which the contact of a face is linearised: the nonlinear part of the change of its
+contact forces, relative to the norm of the residual."""
 ITERATIONS = 30
 """Largest number of semismooth Newton iterations on the contact problem of a step."""
 PRECISION = 1e-4

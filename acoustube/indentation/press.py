@@ -229,7 +229,7 @@ def first_touch(
     mesh: Mesh,
     barrier_distance: float,
 ) -> Indentation:
-    """Return the indentation at first contact: one row of depth zero, its smallest gap nan.
+    """Return the indentation at first contact: one increment, of depth 0 and smallest gap nan.
 
     Parameters
     ----------

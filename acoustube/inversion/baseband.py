@@ -198,8 +198,8 @@ class Baseband:
         places : ndarray
             Distances of the presses in m, (n_places,).
         before, lasting : float
-            Times in s by which a range begins before the arrival of the echo, and ends after the
-            arrival of the end of the drive.
+            A range begins `before` seconds before the echo of the start of the drive arrives, and
+            ends `lasting` seconds after the echo of its end arrives.
         n : int
             Number of samples, counted from the first used one, to which the ranges are limited.
 

@@ -137,8 +137,8 @@ class Inversion:
         -------
         ndarray
             Depths in m, (n,): inf where the deepest press of the library would not be detected, and
-            wherever none is sought because `most` contacts were detected; nan closer to a contact
-            than presses can be, and outside the span of the model. See
+            everywhere if :attr:`most` contacts were detected, so that no further one is sought; nan
+            closer to a contact than presses can be, and outside the span of the model. See
             :func:`acoustube.inversion.detection.detection_limit`. With contacts, the limits are
             valid only if :attr:`fits` is true.
 

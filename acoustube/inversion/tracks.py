@@ -66,7 +66,7 @@ YOUNG, OFTEN, SELDOM, RARELY = 15, 2, 6, 12
 other maxima while a contact is young or the fit is bad, `RARELY` for other maxima at other times,
 and `SELDOM` for weak contacts."""
 MERGED = 3
-"""Cycles between tests of whether a young contact and its neighbour are a single contact."""
+"""Cycles between tests of whether a recently found contact and its neighbour are one contact."""
 LOUD = 3.0
 """Smoothed level of the whitened residual above which a new contact is sought at once."""
 BAD = 3.0

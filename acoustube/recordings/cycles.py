@@ -33,7 +33,7 @@ RATE = Number(1e3, 1e7, "Hz", "samples per second")
 SAMPLES = Number(2, 2**40, "samples", "length of a cycle", whole=True)
 
 MAX_LEAD_TIME = 0.1
-"""Largest distance in s of a time axis's start from 0 at which 0 is taken as the trigger's time."""
+"""Largest absolute time in s of a first sample at which time 0 is taken as the trigger's."""
 RATE_TOLERANCE = 1e-3
 """Relative tolerance between a rate and the time axis: the accuracy of times with four digits."""
 

@@ -36,9 +36,10 @@ class EndsContacts(NamedTuple):
         detect it. The misfit is 1 or more where both ends detect the contact but contradict each
         other in position or depth.
     misfit : float
-        Misfit of `near` with one end; with two, the largest misfit of a contact, nan without any.
+        With one end the misfit of `near`. With two ends the largest misfit of a contact; nan
+        without contacts.
     fits : bool
-        Whether the misfit is at most :data:`acoustube.inversion.estimate.MISFIT`, or nan.
+        True if the misfit is nan or at most :data:`acoustube.inversion.estimate.MISFIT`.
     near : Inversion
         Inversion from the near end alone.
     far : (Inversion, float) or None

@@ -213,7 +213,9 @@ def wrapped(
         reach, or the tube would kink.
     """
     if not presses:
-        raise ConfigError("no press gives the frequency band; use windings() for the tube alone")
+        raise ConfigError(
+            "there is no press, from which the frequency band is taken; use windings() without one"
+        )
     matrix = presses[0].scattering
     found = windings(
         helix, air, matrix.frequency, sorted(press.position for press in presses),

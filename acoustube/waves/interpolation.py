@@ -258,7 +258,7 @@ def interpolated(
 
 
 def _spectrum(response: Complex, time: Array, frequency: NDArray[Any]) -> Complex:
-    """Return the spectra of columns sampled at even times, at any frequencies, real or complex.
+    """Return spectra of columns sampled at evenly spaced times, at real or complex frequencies.
 
     Evenly spaced frequencies use the chirp z-transform, which is ten times as fast as sums.
     """

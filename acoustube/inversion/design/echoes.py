@@ -188,7 +188,7 @@ class Contacts:
 
 
 def check_tools(tubes: Sequence[PressedTube], contacts: Contacts) -> None:
-    """Raise :class:`ConfigError` if a contact's tool is numbered beyond the last of the tubes."""
+    """Raise :class:`ConfigError` unless there is a pressed tube for the tool of each contact."""
     if (last := int(contacts.tool.max())) >= len(tubes):
         raise ConfigError(
             f"a contact is of tool {last}, and the last tube is that of tool {len(tubes) - 1}; "

@@ -1,4 +1,4 @@
-"""Pulse, transducer and converter of a sensor, and the energy spectrum that they receive."""
+"""Pulse, transducer and ADC of a sensor, and the energy spectrum of the recorded pulse."""
 
 from __future__ import annotations
 

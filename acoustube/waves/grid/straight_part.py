@@ -19,11 +19,9 @@ The diagonals that divide the wall into triangles are not mirrored, which moves 
 hundredth of a cell.
 """
 SKEWED_TOLERANCE = 5e-3
-"""`SYMMETRY_TOLERANCE` for mirror images along z of a lumen that is not symmetric about x = 0.
-
-The lumen under a slightly turned rod differs from its mirror images by little more than the effect
-of the triangles.
-"""
+"""Tolerance in place of `SYMMETRY_TOLERANCE` for the symmetry along z of a lumen that is not
+symmetric about x = 0. It is stricter: a lumen under a slightly turned rod has to count as not
+symmetric, and differs from its mirror image by little more than the triangulation does."""
 
 
 def is_symmetric(cells: CutCells) -> bool:

@@ -255,7 +255,11 @@ class Phases:
 
 
 def _second_difference(square: Complex, beta: float) -> Complex:
-    """Return the solution X of X (1 + beta X) = square."""
+    """Return X = 4 sin^2(theta / 2), minus the symbol of the second difference along z.
+
+    It is the root of X (1 + beta X) = `square` that tends to `square` as beta tends to 0; see the
+    dispersion relation in the module's text.
+    """
     return np.asarray(2 * square / (1 + np.sqrt(1 + 4 * beta * square + 0j)))
 
 

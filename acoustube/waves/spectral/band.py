@@ -29,7 +29,7 @@ EXTRA_BLOCKS = {False: 2, True: 3}
 """Number of blocks of the Krylov space at an added shift (squared wavenumber), without and with
 losses. Few suffice, because most of that space is in the span of the other shifts' blocks."""
 MAX_ROUNDS = 6
-"""Largest number of rounds in which shifts (squared wavenumbers solved directly) are added."""
+"""Largest number of rounds in which shifts are added: squared wavenumbers of direct solutions."""
 NEAREST = 0.1
 """Smallest distance of a new shift k^2 from its neighbours, relative to that between these."""
 

@@ -24,8 +24,8 @@ relative error of a derivative is then 1e-10 by rounding, 1e-7 by differencing i
 SLOPE_STEP = 1e-5
 """Step in z of the central differences for the z derivative of a motion, relative to the radius."""
 SAMPLES = 200
-"""Number of sections at which a motion is evaluated for its maximum and its symmetries. As many
-mirror images about the middle are added."""
+"""Number of sections at which a motion (see above) is evaluated for its maximum and its symmetries.
+It is evaluated at their mirror images about the middle too."""
 ALIKE = 1e-5
 """Largest difference of displacements that count as equal, relative to the largest displacement."""
 

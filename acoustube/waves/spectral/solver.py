@@ -73,8 +73,8 @@ ERROR_WINDOW = 3
 """Number of frequencies on either side over which the largest error is taken, because an estimated
 error may pass through zero."""
 FIRST_SHARE = 0.5
-"""Initial bound of the error of S by the degree across the tube, and of that by the elements along
-it, as a fraction of the tolerance."""
+"""Initial bound, as a fraction of the tolerance, of each of two errors of S: that due to the
+polynomial degree across the tube, and that due to the elements along it."""
 END_DEVIATION = 2e-3
 """Largest deviation of the wall from its ends' circle, or of its ends from each other, relative to
 `Wall.radius`."""
