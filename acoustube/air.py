@@ -31,9 +31,9 @@ REFERENCE_TEMPERATURE = 293.15  # K, of the absorption formulas
 TRIPLE_POINT = 273.16  # K
 HUMIDITY = 50.0  # per cent, relative
 WATER_MASS = 18.0153 / 28.9647
-"""Molar mass of water over that of dry air."""
+"""Molar mass of water divided by that of dry air."""
 WATER_HEAT = 4.04
-"""Molar heat capacity of water vapour at constant pressure over the gas constant."""
+"""Molar heat capacity of water vapour at constant pressure, divided by the gas constant."""
 TEMPERATURES = (-20.0, 60.0)  # degC, range in which the formulas are stated or were checked
 NARROW_GAP_LAYERS = 10
 """Opening of a lumen, in viscous boundary layer thicknesses, below which a warning is given."""
@@ -145,9 +145,10 @@ def sound_speed(temperature: float) -> float:
 
 
 def neighbouring_air(temperature: float) -> tuple[Air, Air, float]:
-    """Return air half a kelvin colder and warmer than a temperature in degC, and the difference.
+    """Return the air 0.5 K below and 0.5 K above a temperature in degC, and their difference in K.
 
-    The difference in K is 1, down to 0.5 within half a kelvin of an end of :func:`air_at`'s range.
+    Both temperatures stay in the range of :func:`air_at`: the difference is 1 K, but down to 0.5 K
+    near the ends of this range.
     """
     low, high = max(temperature - 0.5, TEMPERATURES[0]), min(temperature + 0.5, TEMPERATURES[1])
     return air_at(low), air_at(high), high - low
@@ -195,8 +196,8 @@ def air_at(
     Notes
     -----
     At 20 degC the speed of sound is 0.36 % higher in saturated air than in dry air, at 50 %
-    humidity 0.18 %. With `moist` it is that of a mixture of ideal gases, within 0.01 % of the rise
-    that Cramer's formula [1]_ states from 0 to 30 degC.
+    humidity 0.18 %. With `moist` it is that of a mixture of ideal gases. Its rise from dry to moist
+    air agrees with Cramer's formula [1]_ at 0 to 30 degC to 0.01 % of the speed.
 
     References
     ----------
@@ -229,7 +230,8 @@ def air_at(
     heat_capacity = dry / (dry - 1) * SPECIFIC_GAS_CONSTANT
     if _water_fraction(kelvin, humidity, pressure) >= 1:
         raise ConfigError(
-            f"at {temperature:g} degC and {pressure:g} Pa is more water vapour than air",
+            f"at {temperature:g} degC gives a vapour pressure not below the air pressure, "
+            f"{pressure:g} Pa",
             setting="humidity", value=humidity, unit="%", advice="use less, or a higher pressure",
         )  # fmt: skip
     water = _water_fraction(kelvin, humidity, pressure) if moist else 0.0
@@ -279,6 +281,6 @@ def _absolute(temperature: float) -> float:
     if not temperature > ABSOLUTE_ZERO:
         raise ValueError(
             f"temperature = {temperature} degC is not above absolute zero "
-            f"({ABSOLUTE_ZERO} degC); give degC, not kelvin differences"
+            f"({ABSOLUTE_ZERO} degC); give a temperature in degC"
         )
     return temperature - ABSOLUTE_ZERO

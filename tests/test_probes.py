@@ -135,7 +135,7 @@ def test_probe_in_a_closed_layer_is_refused():
     parts = [straight_tube(0.03, sections=24) for _ in range(2)]
     parts[1].apply_translation([0.0, 0.0, 0.04])
     cells = cut_cells(trimesh.util.concatenate(parts), BORE / 4)
-    with pytest.raises(ConfigError, match=r"the lumen is closed at probe = 0.035 m; move it"):
+    with pytest.raises(ConfigError, match=r"lumen is closed at probe = 0.035 m; move the probe"):
         propagate(cells, AIR, PULSE, duration=1e-3, probes=(0.02, 0.035))
 
 

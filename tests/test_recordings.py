@@ -475,7 +475,7 @@ def test_time_axis_identifies_the_axis_of_time(tmp_path):
 def test_columns_of_matlab_are_cycles_when_samples_says_so(tmp_path):
     savemat(tmp_path / "a.mat", {"data": cycles().T, "Fs": RATE, "temp": TEMPERATURE[:, None]})
     np.testing.assert_array_equal(read(tmp_path / "a.mat", samples=LENGTH)["signal"], cycles())
-    with pytest.raises(ConfigError, match="or samples if the length of the cycles is wrong"):
+    with pytest.raises(ConfigError, match="or set samples if the length of the cycles is wrong"):
         read(tmp_path / "a.mat")
 
 

@@ -40,7 +40,7 @@ CODE = {
     "press": ("acoustube.runs.presses", "acoustube.indentation"),
     "scattering": ("acoustube.runs.sound", "acoustube.runs.surface_scattering", "acoustube.lumen"),
 }
-"""Modules that compute each kind of result; its key depends on their code and their imports'."""
+"""Modules that compute each kind of result; its key includes a hash of them and their imports."""
 NOT_FOLLOWED = tuple(
     f"acoustube.{name}."
     for name in (
@@ -200,7 +200,7 @@ def _module_file(root: Path, name: str) -> Path | None:
 
 
 def _imports(tree: ast.AST, package: str) -> Iterator[str]:
-    """Yield the full names that a module imports from a package, except for types only.
+    """Yield the full names that a module imports from a package, type-checking imports excluded.
 
     ``from a.b import c`` yields both a.b and a.b.c, since c may be a module.
     """
@@ -226,7 +226,7 @@ def _tree_digest(tree: ast.AST) -> str:
 
 
 def _is_text(node: ast.stmt) -> bool:
-    """Return whether a statement is only a text: the docstring of a definition or a constant."""
+    """Return whether a statement is only a text: a docstring, or the text below a constant."""
     return (
         isinstance(node, ast.Expr)
         and isinstance(node.value, ast.Constant)
@@ -284,7 +284,7 @@ written."""
 def has_kept() -> bool | None:
     """Return whether every result that this process tried to cache was written to the cache.
 
-    None if the process has neither written a result to the cache nor read one from it.
+    None if the process has neither tried to write a result nor read one from the cache.
     """
     return None if not _KEPT else False not in _KEPT
 

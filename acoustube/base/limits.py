@@ -14,7 +14,8 @@ begin up to a quarter of the bore farther on.
 """
 
 LARGEST_CLOSING = 0.9
-"""Largest depth of a press with valid acoustics, over the bore; slightly deeper, the walls meet."""
+"""Reduction of the lumen's height, as a fraction of the bore, above which results of FDTD carry a
+warning: the walls meet or nearly, and sound in gaps narrower than a grid cell is approximate."""
 
 SHALLOWEST_MM = 0.05
 """Smallest depth of a press, in mm."""

@@ -95,7 +95,7 @@ def check_crossings(surface: trimesh.Trimesh, path: Path) -> None:
 
 
 def components(surface: trimesh.Trimesh) -> NDArray[np.int64]:
-    """Return the number of the connected part of each facet, of shape (facet,)."""
+    """Return for each facet the index of the connected part to which it belongs, (facet,)."""
     return trimesh.graph.connected_component_labels(
         surface.face_adjacency, node_count=len(surface.faces)
     )

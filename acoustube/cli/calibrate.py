@@ -52,7 +52,8 @@ def calibrate(
     name : str
         Name of the calibration, in place of a file: ``process --calibration NAME`` finds it.
     sigmas : float
-        Least prominence of a detected echo, in standard deviations of the untouched cycles.
+        Least prominence of a detected echo, in standard deviations of the processed signal of the
+        untouched cycles.
     sensor : Path
         TOML file of the rangefinder, which states its carrier and, for a chirp, the pulse to
         compress.

@@ -86,8 +86,8 @@ def evaluate(
     if not (model.is_file() or of_library):
         what = "holds no file of a library" if model.is_dir() else "does not exist"
         raise ConfigError(
-            f"{model} {what}; give a model: train writes one, or a library's folder: library "
-            "writes one"
+            f"{model} {what}; give a model, which train writes, or a library's folder, which "
+            "library writes"
         )
     check_files(out=out, figure=figure)
     for name, value in (("sensor", inverted.sensor), ("untouched", inverted.untouched)):

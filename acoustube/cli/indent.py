@@ -47,8 +47,8 @@ def indent(
 ) -> None:
     """Compute force, lumen and mesh of a pressed tube at each depth, up to a closed lumen.
 
-    An option that is not given is taken from the file, then from the defaults: the tube of the
-    sleeve paper, pressed 4 mm deep by a 25 mm cylinder.
+    An option that is not given is taken from the file of --config, else from the defaults: the tube
+    of the sleeve paper, pressed 4 mm deep by a 25 mm cylinder.
     """
     config = load_config(run.config, Mechanics, **settings_of(tool, placement))
     if config.tube.surface is not None:

@@ -1,4 +1,4 @@
-"""The command ``acoustube library``: scattering of indenters over depth, for ``invert``."""
+"""The command ``acoustube library``: scattering as a function of depth, for ``invert``."""
 
 from __future__ import annotations
 
@@ -39,8 +39,9 @@ class Accuracy(Checked):
     Attributes
     ----------
     tolerance : float
-        Largest relative error of the reflection interpolated between depths; depths are added until
-        it is met.
+        Largest estimated rms error, over the band, of interpolation between depths: of the
+        reflection coefficient, relative to its own rms, and of the transmission coefficient; depths
+        are added until it is met.
     band : tuple
         Lowest and highest frequency in kHz, for chirps and other wide pulses; 0.8 and 1.2 times
         --frequency if not given.
@@ -81,7 +82,7 @@ def library(
 
     The depths are a range first:last:step. Shapes between them are interpolated, and scattering is
     computed at more depths where it varies more. Other settings may have several values; each
-    combination is an indenter. Indenters that the folder contains are not computed again.
+    combination counts as one indenter. Indenters that the folder contains are not computed again.
 
     Parameters
     ----------

@@ -164,7 +164,7 @@ def run_live(
     SimulationError
         If the serial connection is lost.
     KeyboardInterrupt
-        On Ctrl-C, with a message on what is kept.
+        On Ctrl-C, with a message on the numbers of cycles and on the table, if any, with them.
     """
     from acoustube.runs.live import follow
 

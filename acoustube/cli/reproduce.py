@@ -51,7 +51,7 @@ def reproduce(
     study : str
         Studies of the sleeve paper: the simulations of Fig. 2, the calibration of Fig. 3, the flat
         table of Figs. 4 and 5 and of Tables I and II, the sleeve on a mannequin's and on a human
-        arm of Figs. 6 and 7; and the reach of EchoTube by bore; or all.
+        arm of Figs. 6 and 7; and the reach of EchoTube as a function of the bore; or all.
     out : Path
         Folder to write, or to resume.
     quick : bool

@@ -24,9 +24,10 @@ def show(
 ) -> None:
     """Draw results as a figure, or as an interactive page.
 
-    The figure of a sweep has force, highest echo, distance error and envelopes over depth; that of
-    a run is the one in its folder. The page is one file that opens in any browser, without a
-    network: a slider over the depth changes tube, section, lumen area, signal and reflection.
+    The figure of a sweep has force, highest echo, distance error and envelopes as functions of
+    depth; that of a run is the one in its folder. The page is one file that opens in any browser,
+    without a network: a slider over the depth changes tube, section, lumen area, signal and
+    reflection.
 
     Parameters
     ----------

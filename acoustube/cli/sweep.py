@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from acoustube.base.report import Reporter
 
 LOOKED_UP = 20_000
-"""Largest number of cases of a plan for which a dry run checks every case."""
+"""Largest number of cases of a plan for which a dry run looks up the results of every case."""
 SAMPLED = 2000
-"""Largest number of cases that a dry run checks of a larger plan, evenly spaced in it."""
+"""Largest number of cases, evenly spaced, from which a dry run estimates the cost of a larger plan;
+their results are not looked up."""
 Values = list[str] | None
 
 

@@ -95,12 +95,12 @@ def twin(
     out : Path
         File to write (TOML), which must be new: every parameter with its standard deviation.
     figure : Path
-        Picture of simulated over recorded cycles to write (PNG, PDF or SVG), which must be new.
+        Picture to write (PNG, PDF or SVG) of simulated and recorded cycles; must be new.
     """
     untouched = others.untouched
     if len(files) < (2 if untouched is None else 1):
         raise ConfigError(
-            "twin needs recordings of the closed and of the untouched tube; name CLOSED UNTOUCHED"
+            "twin needs recordings of the closed tube, then one of the untouched tube; name both"
         )
     closed, free = (files[:-1], files[-1:]) if untouched is None else (files, untouched)
     check_files(out=out, figure=figure)

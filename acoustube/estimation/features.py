@@ -71,7 +71,7 @@ LEAST_AMPLITUDE = 1e-6
 """Lower bound of amplitudes, relative to the send pulse: under a hundredth of an ADC count."""
 FIRST_ECHO_RATIO, FIRST_ECHO_REACH = 0.5, 0.25
 """Smallest amplitude of a press's first echo relative to its strongest one, and largest distance in
-m by which it is nearer."""
+m by which the first is nearer to the sensor."""
 NOISE_MAXIMUM = 3.0
 """Assumed ratio of the maximum of the noise to its median: lower peaks are not echoes."""
 LEAST_PROMINENCE = 0.5
@@ -231,18 +231,18 @@ def echo_features(
     Returns
     -------
     array of shape (cycle, feature)
-        nan for a cycle without an echo. The echo is that of the highest level over the background;
-        levels are corrected for the path there and back. In order:
+        nan for a cycle without an echo. The echo is the highest relative to the background. Levels
+        are in dB and, except ``over_noise``, corrected for attenuation there and back. In order:
 
-        * its ``distance`` in m, and its ``level`` in dB of the send pulse;
-        * its levels ``over_background`` and ``over_noise``, and the tube's ``clutter``, in dB;
-        * ``first_lead``, by how many m the press's first echo is nearer, and ``first_level``, the
-          level of this first echo in dB;
-        * levels in dB of the next :data:`N_OTHER_ECHOES`, then their distances from the echo in m;
-        * the spectrum around the echo at :func:`frequencies` in dB of the send pulse;
-        * the envelope at :data:`ENVELOPE_DELAYS` in dB of the echo.
+        * its ``distance`` in m, and its ``level`` relative to the send pulse;
+        * its levels ``over_background`` and ``over_noise``, and the level of the tube's ``clutter``
+          relative to the send pulse;
+        * ``first_lead``, by how many m the press's first echo is nearer, and its ``first_level``;
+        * levels of the next :data:`N_OTHER_ECHOES`, then their distances minus the echo's in m;
+        * levels of the spectrum around the echo at :func:`frequencies`, relative to the send pulse;
+        * levels of the envelope at :data:`ENVELOPE_DELAYS`, relative to the echo.
 
-        Levels of the first and of the next echoes are over the background, relative to the echo's.
+        Levels of the first and the next echoes are their ``over_background`` minus the echo's.
 
     Notes
     -----
@@ -385,7 +385,7 @@ def _companions(echoes: Echoes, back: Array, height: Array, speed: Array) -> Arr
 def _spectrum(
     time: Array, signal: Any, ranging: Ranging, back: Array, settings: Processing
 ) -> Array:
-    """Return the spectrum (cycle, frequency) around the echo at `back`, in dB of the send pulse."""
+    """Return spectra around echoes at times `back` in s, in dB relative to the send pulse."""
     rate = sampling_rate(time)
     plain = np.asarray(signal, float)
     if settings.offset_cutoff is not None:

@@ -137,7 +137,8 @@ def _model(header: Mapping[str, Any], arrays: Arrays) -> Model:
         or set(targets) - set(TARGETS)
     ):
         raise ValueError(
-            f"{name} does not estimate {', '.join(targets)} from {feature_settings.kind}"
+            f"{name} does not estimate {', '.join(targets)} from features of kind "
+            f"{feature_settings.kind}"
         )
     python_names = {file_name: name for name, file_name in FILE_NAMES.items()}
     settings = {

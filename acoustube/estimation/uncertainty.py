@@ -1,8 +1,9 @@
 """Conformal prediction intervals from the residuals of held-out rows.
 
 Split-conformal prediction [1]_: an estimator states a scale with each estimate. The factor on the
-scale for a wanted coverage is a quantile of residual over scale on held-out rows. Held-out and
-future rows must be exchangeable: for intervals valid in new tubes, rows are held out by tube.
+scale for a wanted coverage is a quantile of the ratio of absolute residual to scale on held-out
+rows. Held-out and future rows must be exchangeable: for intervals valid in new tubes, rows are held
+out by tube.
 
 References
 ----------
@@ -33,7 +34,7 @@ LEVELS = np.append(np.arange(1, 100) / 100, 0.995)
 ONE_DEVIATION = 0.6827
 """Coverage of one standard deviation of a normal variable."""
 MAX_BINS, ROWS_PER_BIN = 20, 30
-"""Largest number of bins of :func:`residual_scale`, and least number of rows in each of several."""
+"""Largest number of bins of :func:`residual_scale`, and least rows in each if there are several."""
 
 
 def conformal_quantiles(residual: ArrayLike, scale: ArrayLike) -> Array:
@@ -50,9 +51,9 @@ def conformal_quantiles(residual: ArrayLike, scale: ArrayLike) -> Array:
 
     Notes
     -----
-    The quantile of level p is the ceil((n + 1) p)-th smallest absolute residual over scale: an
-    exchangeable new row lies within it with a probability of at least p. With too few rows for a
-    level it is the largest.
+    The factor for coverage p is the ceil((n + 1) p)-th smallest ratio of absolute residual to
+    scale: that of an exchangeable new row is at most this factor with a probability of at least p.
+    With too few rows for a coverage, the factor is the largest ratio.
     """
     score = np.sort(np.abs(np.asarray(residual)) / np.asarray(scale), axis=0)
     rank = np.ceil((len(score) + 1) * LEVELS - 1e-9).astype(int)

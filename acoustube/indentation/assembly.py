@@ -74,7 +74,7 @@ class Model:
 
     @cached_property
     def wrinkle_tangent(self) -> sparse.csc_array:
-        """Lower triangle of `wrinkle_stiffness` over the unknowns, in N/m, (n_free, n_free)."""
+        """Lower triangle of `wrinkle_stiffness` for the unknowns only, in N/m, (n_free, n_free)."""
         return self.pattern.restrict(self.wrinkle_stiffness)
 
     @cached_property

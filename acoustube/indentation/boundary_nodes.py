@@ -28,7 +28,7 @@ ENVELOPE = 1 / 25
 The nodes of the boundary are then projected onto the wall; a narrower envelope only forces small
 elements at the bore."""
 MIN_JACOBIAN_RATIO = 0.2
-"""Smallest allowed Jacobian determinant of an element with moved nodes, over that before."""
+"""Smallest allowed ratio of an element's Jacobian determinant after moving nodes to that before."""
 ON_SURFACE = 1e-3
 """Largest distance at which a node counts as lying on a wall or plane, in wall thicknesses."""
 MIN_NORMAL_COSINE = 0.7

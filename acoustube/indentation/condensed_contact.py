@@ -45,8 +45,8 @@ PRECISION = 1e-4
 """Largest error of the displacements that solve the contact problem of a step, relative to the
 largest displacement of the linear step at the nodes whose contact changes.
 
-A smaller tolerance gains nothing: with the linearised wall a step lowers the residual 5 to 20 times
-at most."""
+A smaller tolerance gains nothing: with the linearised wall a step lowers the residual by a factor
+of 5 to 20 at most."""
 HALVINGS = 6
 """Largest number of lengths tried for a Newton step on the contact problem, each half the last."""
 
@@ -136,7 +136,8 @@ class CondensedContact:
         Let D be the change of the zone's contact stiffness. The tangent is positive definite if
         the factorised one is, and if the Schur complement of the zone is as well, which is the
         inverse of the compliance plus D. This holds if ``I + L^T D L`` is positive definite, with
-        the Cholesky factor L of the compliance. On a layer, D omits the change of the covered area.
+        the Cholesky factor L of the compliance. On an elastic ground layer, D omits the change of
+        the contact area.
         """
         if not self._zone.size:
             return True
@@ -205,10 +206,11 @@ class CondensedContact:
         return True
 
     def _contact_forces(self, touch: Touch, before: Array, linear: Array) -> Array | None:
-        """Solve the contact problem on the zone; return its forces on the unknowns, in N.
+        """Solve the contact problem on the zone; return forces on all unknowns, in N.
 
         The displacements v of the zone satisfy ``v - v_linear + C f(v) = 0``, with the compliance C
-        and the nonlinear part f of the contact forces. The result is None without convergence.
+        and the nonlinear part f of the change of the contact forces, which is returned. The result
+        is None without convergence.
         """
         moved, scale = linear, np.abs(linear).max()
 

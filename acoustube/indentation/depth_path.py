@@ -28,8 +28,8 @@ from acoustube.indentation.result import RESULTS, Indentation
 FEWEST_ROWS = 5
 """Smallest number of rows: a cubic through all but one estimates the error at that one."""
 NEAREST = 0.25
-"""Smallest distance of a row from the rows that predict it, over the wider of the two intervals
-next to it.
+"""Smallest distance of a row from the rows that predict it, relative to the wider of the two
+intervals next to that row.
 
 With a constant c, a cubic errs by at most c H^4 / 16 within an interval H, and by c a^2 b^2 at a
 row between others at the distances a and b. With a = H / 4 and b = H both are equal."""

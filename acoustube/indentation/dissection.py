@@ -2,8 +2,8 @@
 
 Nodes on a plane across the body separate the rest into two parts that share no element. Both are
 eliminated before the plane, each in the same way. The elimination of a part then causes no fill-in
-in the other part, and fills only those rows of the plane that it touches. For a quarter of a tube,
-the factorisation takes a third of the operations of a banded one.
+in the other part, and on the plane only in the rows of nodes that share an element with the part.
+For a quarter of a tube, the factorisation takes a third of the operations of a banded one.
 
 References
 ----------
@@ -25,7 +25,8 @@ LEAF = 150
 PLACES = (0.4, 0.45, 0.5, 0.55, 0.6)
 """Positions of the cuts tried along each axis, as fractions of the part's nodes below the cut."""
 UNEVENNESS = 0.5
-"""Weight of the parts' imbalance (difference of their sizes over the sum) in a separator's cost."""
+"""Weight of the parts' imbalance, the difference of their sizes divided by the sum, in the cost of
+a separator: its number of unknowns times (1 + weight times imbalance)."""
 
 
 class Dissection(NamedTuple):
@@ -40,7 +41,7 @@ class Dissection(NamedTuple):
     parent : array of int, shape (n_fronts,)
         Number of the separator that cut off each separator's subtree; -1 at a root.
     first : array of int, shape (n_fronts,)
-        Lowest number of a separator in each separator's subtree; these numbers are consecutive.
+        Lowest number of a separator in each separator's subtree, whose numbers are consecutive.
     """
 
     front: Index
@@ -112,7 +113,7 @@ def dissected(lower: sparse.csc_array, points: Array) -> Dissection:
 
 
 def _cut(graph: sparse.csr_array, points: Array, weights: Index) -> tuple[Index, ...] | None:
-    """Return the nodes of two parts and of the cheapest separator; None if the part is not cut."""
+    """Return the nodes of both sides and of the separator of least cost, or None without a cut."""
     total = weights.sum()
     if total <= LEAF:
         return None

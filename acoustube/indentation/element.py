@@ -213,10 +213,11 @@ def tangents(
 def _moduli(
     displacement: Array, rule: Quadrature, material: Material, pressure_share: Scalar
 ) -> tuple[Array, Array, Array]:
-    """Return moduli and cofactors of F, times the weights of the points, and the modes' stiffness.
+    """Return weighted elastic moduli and cofactors of F at the points, and the modes' stiffness.
 
-    Shapes (3, 3, 3, 3, n_elements, n_points), (3, 3, n_elements, n_points), and
-    (n_elements, n_modes, n_modes). The points come last, so that the compiler vectorises over them.
+    The weights are the points' integration weights. Shapes (3, 3, 3, 3, n_elements, n_points),
+    (3, 3, n_elements, n_points), and (n_elements, n_modes, n_modes). The points come last, so that
+    the compiler vectorises over them.
     """
     points = rule.weights.shape
     grad = jnp.einsum("eni,eqnj->ijeq", displacement, rule.gradients).reshape(3, 3, -1)

@@ -28,7 +28,7 @@ from acoustube.tube import Tube
 COARSE = MeshSize(through_wall=1, around=12, along=10)
 """Numbers of elements of the coarse mesh."""
 LEAST_RATIO = 2.0
-"""Smallest ratio of the numbers of elements, fine to coarse, at which the coarse one saves time."""
+"""Smallest ratio of the fine to the coarse mesh's number of elements at which a guide is used."""
 
 
 class Guide(NamedTuple):

@@ -44,7 +44,8 @@ SMALLEST_INCREMENT = 1e-5
 EASY_ITERATIONS = 8
 """Largest number of Newton iterations after which the next increment is doubled."""
 FORCE_TOLERANCE = 1e-8
-"""Norm of the residual forces at convergence, in shear moduli times squared bore diameters."""
+"""Largest norm of the residual forces at convergence, in shear moduli times squared bore
+diameters."""
 SPACING = 1 / 8
 """Smallest spacing in bore diameters of depths solved in rising order, before those in between."""
 EXTRAPOLATED_STATES = 3
@@ -83,7 +84,8 @@ def load_path(
     guide : Guide, optional
         Load path on a coarser mesh; up to its largest depth only the target depths are solved.
     tolerance : float
-        Norm of the residual forces at convergence, in shear moduli times squared bore diameters.
+        Largest norm of the residual forces at convergence, in shear moduli times squared bore
+        diameters.
     largest : float
         Largest increment without a guide, in bore diameters.
 
@@ -229,7 +231,7 @@ def _results_at_first_touch(model: Model, untouched: Indentation) -> Equilibrium
 
 
 def _next_depth(targets: Array, reached: float, increment: float) -> float:
-    """Return the depth of the next increment: the next target if it is within 1.05 increments."""
+    """Return the next depth: the next target if within 1.05 increments, else one increment on."""
     target = float(targets[np.searchsorted(targets, reached, side="right")])
     return target if reached + 1.05 * increment >= target else reached + increment
 

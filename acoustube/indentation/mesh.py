@@ -256,7 +256,10 @@ def _stations(presses: Array, size: MeshSize, *, from_zero: bool) -> Array:
 
 
 def _graded(length: float, size: MeshSize) -> Array:
-    """Return sinh-graded stations from 0 to `length`, the first spacing about that of length 1."""
+    """Return sinh-graded stations from 0 to `length`.
+
+    They are the first of `size.along` + 1 stations from 0 to 1, stretched to end at `length`.
+    """
     whole = np.sinh(size.grading * np.linspace(0, 1, size.along + 1)) / np.sinh(size.grading)
     if length <= 0:
         return np.zeros(1)

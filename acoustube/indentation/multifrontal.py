@@ -1,9 +1,9 @@
 """Multifrontal Cholesky factorisation of a sparse matrix by dense blocks [1]_.
 
 Each separator of a nested dissection (:mod:`acoustube.indentation.dissection`) is eliminated in a
-dense front: its own rows, and those that it and its descendants touch. The elimination leaves a
-dense Schur complement on the touched rows, which is added into the parent's front. All products
-are computed by BLAS and LAPACK.
+dense front: its own rows, and the later rows that it and its descendants touch, that is, to which
+they are coupled. The elimination leaves a dense Schur complement on the touched rows, which is
+added into the parent's front. All products are computed by BLAS and LAPACK.
 
 References
 ----------
@@ -204,7 +204,7 @@ class MultifrontalFactor:
         Parameters
         ----------
         unknowns : array of int, shape (k,)
-            Numbers of the unknowns, in the order of elimination.
+            Numbers of the unknowns, sorted by their place in the order of elimination.
 
         Returns
         -------

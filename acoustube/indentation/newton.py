@@ -41,7 +41,8 @@ CONDENSED_REUSE_DECREASE = 0.3
 """Ratio of the residuals after and before a step with condensed contact below which the factorised
 tangent is reused: such a step is cheap beside a factorisation."""
 LEAST_CONDENSED_WORK = 1e9
-"""Smallest number of operations of a factorisation with which contact is condensed.
+"""Smallest number of operations of a factorisation at which contact is condensed; see
+:mod:`acoustube.indentation.condensed_contact`.
 
 With fewer, as on 2 x 12 x 10 elements of a quarter of a tube, this costs more than it saves."""
 REUSED_TOLERANCE = 0.1
@@ -53,8 +54,8 @@ The diagonal of a nearly incompressible wall is dominated by its volumetric stif
 of a thin wall in bending is 1e-6 to 1e-4 of it: with a larger shift a step hardly bends the wall.
 """
 SADDLE_STEPS = 1e-2 * 0.25 ** np.arange(5)
-"""Largest nodal displacements of the steps tried from a saddle of the energy, in both directions,
-in heights of the bore (of the body, if it has no bore)."""
+"""Largest nodal displacements of the steps tried from a saddle of the energy, to either side along
+the direction of least curvature, in heights of the bore (of the body, if it has no bore)."""
 BUCKLING = "the tangent stiffness is not positive definite (buckling)"
 
 
@@ -155,7 +156,7 @@ class _Tangent(NamedTuple):
     """Lower triangle of the tangent in N/m if that is not positive definite, else None."""
 
     def step(self, state: State) -> Array:
-        """Return the Newton step (n_free,) in m, with the contact solved exactly if possible."""
+        """Return the Newton step (n_free,) in m; if contact is condensed, it is solved exactly."""
         return -self.solve(state.gradient) if self.contact is None else self.contact.step(state)
 
     def holds_at(self, state: State) -> bool:
@@ -172,7 +173,7 @@ class _Tangent(NamedTuple):
 
 
 def _worth(tangent: _Tangent, state: State, lower: State, tolerance: float) -> bool:
-    """Return whether to reuse the factor whose step led from one state to another of lower energy.
+    """Return whether to reuse the factor whose step led from `state` to `lower`.
 
     True if the step lowered the residual enough, or if three more steps with the same ratio of
     residuals would converge.
@@ -214,7 +215,10 @@ def _factorised(model: Model, displacement: Array, bodies: tuple[Body, ...]) -> 
 def _descended(
     model: Model, state: State, tangent: _Tangent, bodies: tuple[Body, ...], *, saddle: bool
 ) -> State | None:
-    """Return a state of lower energy, reached by a step of a tangent; None if none is found."""
+    """Return a state of lower energy or residual after a step of a tangent; None if none is found.
+
+    After a step from a saddle its energy is lower.
+    """
 
     def moved(step: Array) -> State | None:
         on_nodes = np.zeros_like(state.displacement)

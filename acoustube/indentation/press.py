@@ -38,8 +38,8 @@ from acoustube.tube import Tube
 GUIDE_INCREMENT = 1 / 8
 """Largest increment of depth on the coarse mesh, in bore diameters."""
 GUIDE_TOLERANCE = 1e-3
-"""Norm of the residual forces at convergence on the coarse mesh, in shear moduli times squared bore
-diameters."""
+"""Largest norm of the residual forces at convergence on the coarse mesh, in shear moduli times
+squared bore diameters."""
 GUIDE_SUBDIVISIONS = 2
 """Number of triangle edges of the inner wall along the edge of a face of the coarse mesh."""
 
@@ -340,8 +340,8 @@ def _check_clearance(untouched: Indentation, depth: float) -> None:
         if depth >= clearance:
             raise ConfigError(
                 f"depth = {depth:.6g} m pushes the {indenter.shape} at x = {indenter.x:.6g} m into "
-                f"the floor, which is {clearance:.6g} m below first touch; reduce the depth or the "
-                "offset"
+                f"the floor, which it reaches at a depth of {clearance:.6g} m; reduce the depth or "
+                "the offset"
             )
 
 

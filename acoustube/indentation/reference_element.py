@@ -58,7 +58,7 @@ class Reference:
     points, weights : arrays of shape (n_points, d) and (n_points,)
         Quadrature rule.
     modes : array of int, shape (n_modes, d)
-        Exponents of the monomials onto which the volume ratio is projected; none for a face.
+        Exponents of the monomials onto which the volume ratio is projected; empty for a face.
     stabilisation : float
         Stabilisation modulus on the unprojected part of the volume ratio, in shear moduli.
     """
@@ -204,4 +204,4 @@ TET10 = Reference(*_simplex(3), *tetrahedron_rule(), lattice(0, 3), stabilisatio
 TRI6 = Reference(*_simplex(2), *collapsed_gauss(4), _NO_MODES)
 """Face of :data:`TET10`, with 16 quadrature points."""
 FACE = {HEX20: QUAD8, TET10: TRI6}
-"""Reference element of the faces, by that of the elements."""
+"""Reference element of the faces for the reference element of each kind of solid element."""

@@ -42,11 +42,11 @@ BARRIER_STIFFNESS = 0.3
 LIBRARY_UNIT = 400
 """Unit of length in the collision library, in activation distances (a bore, by default)."""
 REST_STEP = 1e-6
-"""Step of central differences by undeformed vertices, in the collision library's unit of length."""
+"""Step of undeformed vertices in central differences, in the collision library's unit of length."""
 STEP_SAFETY_FACTOR = 0.9
 """Fraction of the step to the first collision that is taken."""
 CLEARANCE = 3.0
-"""Distance in activation distances up to which pairs of triangles are searched for in advance."""
+"""Distance in activation distances up to which the smallest gap between triangles is computed."""
 FACING_ANGLE = np.pi / 6
 """Largest angle in rad between the vertical and the normals of walls that face each other."""
 
@@ -93,8 +93,8 @@ class SelfContact:
 
         This holds at the given states of the vertices and on the straight path between them. If the
         smallest distance at a reference state (`centre`) is d, it exceeds `by` while no vertex has
-        moved farther than the margin (d - by) / 2. A centre without a margin is kept until a vertex
-        has moved by d_hat / 4; no new one is computed if the path is longer than the last margin.
+        moved farther than the margin (d - by) / 2. A centre without a margin is replaced after a
+        vertex has moved by d_hat / 4. The centre stays if the path is longer than its margin.
         """
         d_hat = self.barrier.dhat
 
@@ -282,7 +282,7 @@ def self_contact(
     distance : float
         Activation distance d_hat of the barrier, in m.
     parts : int
-        Triangle edges along the edge of an element's face.
+        Number of triangle edges along the edge of an element's face.
     """
     sampling, faces = triangulated(mesh, parts=parts)
     length = LIBRARY_UNIT * distance
@@ -311,9 +311,9 @@ def gap_at_pressure(pressure: float, distance: float, shear_modulus: float) -> f
 
     Notes
     -----
-    The pressure is the derivative of ``d_hat K (r^2 - 1)^2 ln(1 / r^2)``, the barrier's energy per
-    area, with the gap r over d_hat and the barrier's stiffness K. The area weights of the pairs of
-    triangles make the pressure of a mesh up to 1.5 times as high.
+    The pressure is minus the derivative by the gap of the barrier's energy per area,
+    ``d_hat K (r^2 - 1)^2 ln(1 / r^2)`` with its stiffness K and r = gap / d_hat. The area weights
+    of the pairs of triangles make the pressure of a mesh up to 1.5 times as high.
     """
     scaled = max(pressure, 0.0) / (BARRIER_STIFFNESS * shear_modulus)
 
@@ -358,7 +358,7 @@ def triangulated(
     faces : array of int, shape (n_faces, n_face_local), optional
         Element faces of the wall; those of the inner wall by default.
     parts : int
-        Triangle edges along the edge of an element's face.
+        Number of triangle edges along the edge of an element's face.
 
     Returns
     -------

@@ -63,21 +63,22 @@ from acoustube.indentation.wall_surface import (
 )
 
 MIN_QUALITY = 0.01
-"""Smallest Jacobian determinant in an element, over that of a regular element with the same mean
-square edge.
+"""Smallest Jacobian determinant in an element, divided by that of a regular element with the same
+mean square edge.
 
 Meshes of a round and of a D-shaped bore had 0.045 to 0.2; below the limit, a single element stops
 the solver."""
 MAX_OFF_SURFACE = 0.01
 """Largest fraction of a wall's nodes off its surface, above which another mesh is tried.
 
-Nodes stay off the surface where they would distort their elements. No node may be off a plane."""
+Nodes stay off the surface where they would distort their elements. No node may be off
+a flat end or a plane of symmetry."""
 ATTEMPTS = 6
-"""Largest number of meshes tried. About one in twenty has a flat element next to a plane, one in
-twelve has more than `MAX_OFF_SURFACE` of a wall's nodes off its surface. Rarely (in none of 200
-meshes) a dented plane of symmetry counts as a third wall."""
+"""Largest number of meshes tried. About one in twenty has a flat element next to an end or a plane
+of symmetry, one in twelve has more than `MAX_OFF_SURFACE` of a wall's nodes off its surface. Rarely
+(in none of 200 meshes) a dented plane of symmetry is taken for a third wall."""
 VOLUME_TOLERANCE = 0.01
-"""Largest relative error of the mesh's volume."""
+"""Largest difference between the volumes of the mesh and of the wall, relative to the latter."""
 CHILD = """
 import numpy, pytetwild
 arguments = {name: a if a.ndim else a.item() for name, a in numpy.load("in.npz").items()}
@@ -86,7 +87,8 @@ numpy.savez("out.npz", points=points, tetrahedra=tetrahedra)
 """
 """Program of the child process that calls pytetwild."""
 STOP_ENERGY = 15.0
-"""Distortion energy (AMIPS) of the worst tetrahedron at which fTetWild stops (a regular one: 3)."""
+"""Distortion energy (AMIPS) of the worst tetrahedron below which fTetWild ends the improvement of
+a mesh; a regular tetrahedron has 3."""
 SIZE_STATIONS = 33
 """Number of stations along the tube between which the edge length is interpolated."""
 
@@ -308,7 +310,8 @@ def qualities(points: Array, elements: Index) -> Array:
     Returns
     -------
     array of shape (n_elements,)
-        Smallest Jacobian determinant, over that of a regular one with the same mean square edge.
+        Smallest Jacobian determinant, divided by that of a regular tetrahedron with the same mean
+        square edge.
     """
     corners = points[elements[:, :4]]
     sides = np.array([corners[:, i] - corners[:, j] for i, j in edges(3)])

@@ -86,8 +86,8 @@ def tube_of(surface: trimesh.Trimesh, *, shear_modulus: float, poisson_ratio: fl
     Returns
     -------
     Tube
-        Its inner diameter is the height of the bore over x = 0 at mid-length, its wall thickness
-        the mean thickness of the surface.
+        Its inner diameter is the height of the bore in the plane x = 0 at mid-length, its wall
+        thickness the mean thickness of the imported wall.
 
     Raises
     ------

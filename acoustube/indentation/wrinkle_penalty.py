@@ -67,7 +67,7 @@ def stiffness(mesh: Mesh, shear_modulus: float) -> sparse.csr_array:
 
 
 def _squared(stencils: Index, factors: Array, weights: Array, n_nodes: int) -> sparse.csr_array:
-    """Return the Hessian D^T W D of half the weighted squares of differences D."""
+    """Return the Hessian D^T W D of half the weighted sum of squared differences D u."""
     rows = np.repeat(np.arange(len(stencils)), SIXTH_DIFFERENCE.size)
     shape = (len(stencils), n_nodes)
     difference = sparse.csr_array((factors.ravel(), (rows, stencils.ravel())), shape=shape)

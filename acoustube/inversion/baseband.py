@@ -1,4 +1,4 @@
-"""Complex baseband of a rangefinder's cycles, and the gain from reflection coefficient to it."""
+"""Complex baseband of a rangefinder's cycles, and the gain from reflection to recorded spectrum."""
 
 from __future__ import annotations
 
@@ -128,7 +128,8 @@ class Baseband:
         if len(self.used) < 16:
             raise ConfigError(
                 f"a cycle of n_samples = {self.n_samples}, {MS * self.n_samples / self.rate:.3g} "
-                f"ms, in a tube of length {length:g} m is too short to invert; use longer ones"
+                f"ms, in a tube of length {length:g} m is too short to invert; use longer cycles "
+                "or a longer tube"
             )
         self.k, self.k_by_temperature = self._wavenumbers()
         self.speed, self.speed_by_temperature = _speeds(temperature)

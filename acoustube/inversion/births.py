@@ -92,7 +92,7 @@ def new_deviations(motion: Motion) -> Array:
 
 
 def uniform(model: ForwardModel, tool: int) -> float:
-    """Return the log ratio of the areas of a contact's prior and of a candidate's distribution.
+    """Return the log ratio of the area of a contact's prior to that of a candidate's distribution.
 
     The prior is uniform: its area is the range of position times that of depth. The area of the
     normal distribution is 2 pi times the product of the standard deviations :data:`START`.

@@ -23,7 +23,7 @@ CELL = 0.02
 WARM, WARM_STEP = 1.5, 0.1
 """Largest magnitude and step in K of the temperature deviations in the table of the clutter."""
 RING_DEVIATION = 0.3
-"""Relative standard deviation of the ring-down's level where it is not measured."""
+"""Relative standard deviation of the ring-down's amplitude where no ring-down is measured."""
 FAR_DEVIATION = 0.01
 """Standard deviation in m of the position of the far end: the phase of its echo is not known."""
 
@@ -92,7 +92,7 @@ class Clutter:
 
     @cached_property
     def warmer_by_row(self) -> NDArray[np.complex64]:
-        """Derivative of the reflection by temperature, per step `WARM_STEP` of the table."""
+        """Derivative of the reflection by temperature, times the table's step :data:`WARM_STEP`."""
         assert self.warmer is not None
         return np.asarray(WARM_STEP * self.warmer, np.complex64)
 
@@ -101,8 +101,8 @@ class Clutter:
 def unknown_clutter(base: Baseband) -> Clutter:
     """Return clutter of which only the power density is known, as the rangefinder states it.
 
-    The ring-down is computed from the rangefinder's parameters; the deviation of its level is
-    :data:`RING_DEVIATION`.
+    The ring-down is computed from the rangefinder's parameters; the relative standard deviation of
+    its amplitude is :data:`RING_DEVIATION`.
     """
     _, shapes = _reflectors(base)
     ring = base.ring_down()
@@ -135,10 +135,10 @@ def measured_clutter(
 
     Notes
     -----
-    The level of the ring-down is fitted by weighted least squares. Then reflectors along the tube,
-    Gaussian a priori, are estimated by Wiener's filter. What these do not explain counts as
-    ring-down. Ring-down and clutter together are the mean of the cycles, and the variance of their
-    errors is that of the noise of this mean.
+    The computed ring-down's complex amplitude is fitted by weighted least squares. Then reflectors
+    along the tube, Gaussian a priori, are estimated by Wiener's filter. What these do not explain
+    counts as ring-down. Ring-down and clutter together are the mean of the cycles, and the variance
+    of their errors is that of the noise of this mean.
     """
     return reflectors(base, counts).clutter(at or base)
 

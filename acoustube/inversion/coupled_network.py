@@ -34,7 +34,7 @@ def coupled_echo(
     -------
     Echo
         Its value is (p - 1) / (1 + face), where p is the pressure of the plane wave at the face
-        over the launched pressure.
+        divided by the launched pressure.
     """
     blocks = [_blocks(press.value) for press in presses]
     paths = [section.factor for section in sections]

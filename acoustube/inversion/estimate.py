@@ -192,7 +192,7 @@ class Inverter:
         if array.shape[1] != self.model.base.n_samples:
             raise ConfigError(
                 f"cycles have {array.shape[1]} samples and the model's "
-                f"{self.model.base.n_samples}; give cycles of one recorder"
+                f"{self.model.base.n_samples}; give cycles of the sensor that the model describes"
             )
         samples, noise = self.model.base.of_cycles(array)
         builder = Builder(self.model, self.templates, samples, noise)
@@ -303,7 +303,10 @@ def _unexplained(measured: Complex, explained: Complex, builder: Builder) -> flo
 
 
 def _shifted(builder: Builder, found: list[Hypothesis]) -> list[Hypothesis]:
-    """Return hypotheses by rising deviance; maxima half wavelengths away are added to the best."""
+    """Return hypotheses by rising deviance, the best :data:`BEAM` of them with further maxima.
+
+    The further maxima are sought with presses half wavelengths and steps of depth away.
+    """
     found = sorted(found, key=lambda one: one.deviance)
     best = [found[0], *_others(found[0], found)]
     rest = [one for one in found if one not in best]
@@ -341,7 +344,10 @@ def _pruned(builder: Builder, chain: list[Hypothesis]) -> list[Hypothesis]:
 
 
 def _others(best: Hypothesis, found: list[Hypothesis]) -> list[Hypothesis]:
-    """Return further hypotheses to extend, whose places or depths differ from all others kept."""
+    """Return further hypotheses to extend, with other places or depths than `best`.
+
+    They also differ from each other in places or depths.
+    """
     kept = [best]
     for one in found:
         same = any(

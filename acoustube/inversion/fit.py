@@ -23,7 +23,7 @@ from acoustube.inversion.whitening import Weights
 from acoustube.waves.scattering import Complex
 
 CONVERGED = 0.02
-"""Decrease of the cost of :class:`Fits` in one iteration, up to which the iterations end."""
+"""Largest decrease of the cost of :class:`Fits` in one iteration at which a fit has converged."""
 DAMPING, RAISED, LOWERED = 1e-2, 6.0, 5.0
 """Initial Levenberg-Marquardt damping, its factor after a step that does not lower the cost, and
 its divisor otherwise."""

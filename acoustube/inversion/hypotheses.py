@@ -24,7 +24,7 @@ from acoustube.inversion.whitening import Weights
 from acoustube.waves.scattering import Complex
 
 ERRORS = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4)
-"""Relative errors of the model, of which the most likely one is chosen."""
+"""Errors of the model, relative to the echo, of which the most likely one is chosen."""
 SPREADS = 1e-4, 4e-4, 1.5e-3
 """Errors of the model, equal at all times and relative to the highest echo, tried besides zero."""
 BENT_SPREADS = 6e-3, 2.4e-2
@@ -40,7 +40,7 @@ JOINT = -3, -2, -1, 1, 2, 3
 POOR = 0.05
 """Relative error of the model above which it is estimated anew after shifts of all presses."""
 JUDGED = 4
-"""Largest number of maxima, after shifts of all presses, at which the error is estimated anew."""
+"""Number of the best maxima, after shifts of all presses, whose model error is estimated anew."""
 OUTLIER = 9.0
 """Cap on the squared whitened residual in the robust choice of the initial temperature."""
 KEPT = 3
@@ -63,8 +63,8 @@ HOPELESS = 10.0
 """Excess of the deviance with one more press over that without it, above which the press is not
 followed. The deviance with the press is that before its model error and other maxima are known."""
 UNLIKELY, FARTHER = 8.0, 4
-"""Excess of the cost (minus twice the log likelihood) of a maximum over the least, up to which
-places farther along the tube are tried too, and number of half wavelengths tried."""
+"""Excess of the cost (minus twice the log likelihood) over the least, below which a maximum is
+likely, and number of half wavelengths tried beyond a likely maximum far from the best."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +233,7 @@ class Builder:
     def own_deviance(self, known: Hypothesis) -> float:
         """Return minus twice the logarithm of a hypothesis's evidence with its own weights.
 
-        Its `deviance` may be larger, by the test of :mod:`acoustube.inversion.doubt`.
+        The attribute `deviance` is larger if :mod:`acoustube.inversion.doubt` has raised it.
         """
         return float(evidence(self.model, known.tools, known.fits.first(1), known.whiten)[0])
 
@@ -331,7 +331,7 @@ class Builder:
         return [self._fitted(*_without(known, i)) for i in range(len(known.tools))]
 
     def _farther(self, tools: tuple[int, ...], fits: Fits, whiten: Weights, half: float) -> Fits:
-        """Return fits, with maxima farther along the tube if likely ones are not close together."""
+        """Return fits, and maxima beyond likely ones more than 2.5 `half` in m from the best."""
         likely = fits.cost < fits.cost[0] + UNLIKELY
         m = len(tools)
         starts = []
@@ -392,7 +392,7 @@ class Builder:
 
 
 def _without(known: Hypothesis, number: int) -> tuple[tuple[int, ...], Fits]:
-    """Return tools and unfitted parameters of a hypothesis without the press of index `number`."""
+    """Return tools and fits of a hypothesis without the press of index `number`, not refitted."""
     places, depths, nuisances = split(known.fits.parameters[:1])
     kept = [i for i in range(len(known.tools)) if i != number]
     rest = joined(places[:, kept], depths[:, kept], nuisances)

@@ -129,8 +129,8 @@ def joined_changes(
     Parameters
     ----------
     s, s_depth, s_stretch : ndarray
-        Scattering matrices between straight modes and their derivatives by depth and stretch,
-        (n, n_f, 2, 3, 2, 3).
+        Scattering matrices between straight modes, and their derivatives by depth and by stretch
+        (a relative change of frequency), (n, n_f, 2, 3, 2, 3).
     joints, moved : ndarray
         Matrices of the joints at both ports, and their derivatives by position in 1/m,
         (2, n, n_f, n_parts).

@@ -83,7 +83,8 @@ class Joined:
         Returns
         -------
         ndarray
-            Derivatives by depth (1/m), stretch, position (1/m), temperature (1/K), (4, n, n_f).
+            Derivatives by depth (1/m), stretch (a relative change of frequency), position (1/m),
+            temperature (1/K), (4, n, n_f).
         """
         from acoustube.inversion.joint_sums import joined_changes
 
@@ -97,8 +98,8 @@ class Joined:
     def transmission(self) -> tuple[Complex, Complex, Complex]:
         """Return the plane wave's two-way transmission, and its derivatives by depth and stretch.
 
-        Each is (n, n_f), relative to the transmission of the bend without a press, which is part of
-        the clutter behind the press.
+        Each is (n, n_f), divided by the two-way transmission of the bend without a press, which the
+        clutter behind the press already contains. Stretch is a relative change of frequency.
         """
         plane = np.zeros(self.way.shape, complex)
         plane[..., 0] = 1.0

@@ -49,10 +49,12 @@ def discrepancy(
     """Return the discrepancy of the model about each maximum of a hypothesis.
 
     The relative errors of :data:`acoustube.inversion.hypotheses.ERRORS` are equally likely a
-    priori. The parameters are marginalised first, since a fit absorbs a part of the error, and the
-    error is marginalised next. The root mean square of the error times the echo of a press is taken
-    to lie wholly along the derivative by position, and also wholly along that by depth. The offsets
-    of the priors are added in quadrature.
+    priori. For each, the parameters are marginalised, since a fit absorbs a part of the error. The
+    posterior root mean square of the relative error, times the echo of a press, is taken to lie
+    wholly along the derivative by position, and also wholly along that by depth. The offsets of the
+    priors are added in quadrature. The weights of all maxima are those for one relative error: that
+    of the first maximum, up to :data:`acoustube.inversion.doubt.LARGEST`, times the root of
+    :data:`acoustube.inversion.doubt.SAMPLES`.
 
     Parameters
     ----------

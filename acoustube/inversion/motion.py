@@ -109,7 +109,7 @@ class Branches:
         return 2 * len(self.tools) + len(NUISANCES)
 
     def take(self, rows: Numbers) -> Branches:
-        """Return the branches at given indices, with their largest level shifted to zero."""
+        """Return the branches at given indices, with levels relative to the largest of these."""
         level = self.level[rows]
         return Branches(self.tools, self.mean[rows], self.covariance[rows], level - level.max())
 
@@ -230,7 +230,7 @@ class Update:
     information: Array
 
     def joined(self, other: Update) -> Update:
-        """Return one update with the branches of two updates of the same contacts, by level."""
+        """Return the branches of two updates of the same contacts, the highest level first."""
         both = Update(
             self.branches.joined(other.branches),
             *(
@@ -241,7 +241,7 @@ class Update:
         return both.take(np.argsort(-both.branches.level))
 
     def take(self, rows: Numbers) -> Update:
-        """Return the branches at given indices, with their largest level shifted to zero."""
+        """Return the branches at given indices, with levels relative to the largest of these."""
         return Update(
             self.branches.take(rows), self.evidence[rows], self.rest[rows], self.slopes[rows],
             self.information[rows],

@@ -52,8 +52,8 @@ def echoes(
     Parameters
     ----------
     s, s_depth, s_stretch : ndarray
-        Matrices of all presses but the last, and their derivatives by depth and stretch,
-        (n_presses - 1, n, n_f, 2, 3, 2, 3).
+        Matrices of all presses but the last, and their derivatives by depth and by stretch (a
+        relative change of frequency), (n_presses - 1, n, n_f, 2, 3, 2, 3).
     last, last_depth, last_stretch : ndarray
         Reflection coefficients of the last press between three modes, row by row, and their
         derivatives, (n, n_f, 9) or more columns.

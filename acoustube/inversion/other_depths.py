@@ -16,8 +16,8 @@ from acoustube.waves.scattering import Complex
 STEP = 0.4e-3
 """Step in m between the depths that are tried."""
 ITERATIONS = 8
-"""Iterations from each of these depths, unless :func:`acoustube.inversion.fit.maximise` gives one
-up."""
+"""Iterations from each of these depths; fewer if :func:`acoustube.inversion.fit.maximise` gives up
+this starting point."""
 
 
 def other_depths(model: ForwardModel, known: Fits, tools: tuple[int, ...], samples: Complex,

@@ -37,9 +37,9 @@ ALIKE = 1e-3
 def peeled(builder: Builder, most: int) -> list[list[Hypothesis]]:
     """Return hypotheses of one press, two and so on, each fitted to the first part of a recording.
 
-    For each number there are up to :data:`AT_ONSET` plus :data:`BEFORE_ONSET`, each by rising
-    residual of the samples that it was fitted to. The list ends early where no further press is
-    found.
+    For each number there are up to :data:`AT_ONSET` hypotheses whose last press is at an onset,
+    followed by up to :data:`BEFORE_ONSET` others. Both groups are in the order of rising residual
+    of the samples fitted. The list ends early where no further press is found.
 
     Parameters
     ----------

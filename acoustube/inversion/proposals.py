@@ -139,7 +139,10 @@ class PlaneFilter:
         return self.model.path.phases(places, 0.0, behind=behind)[..., 0]
 
     def _dimmed(self, whiten: Weights) -> Array:
-        """Return the inverse variance at each place's echo over that without contacts, (n,)."""
+        """Return the inverse variance of samples in the echo of each place, (n_places,).
+
+        It is divided by the inverse variance without contacts, and averaged over :data:`SMOOTHED`.
+        """
         base = self.model.base
         ratio = whiten.sample_precision / self.quiet
         width = max(1, round(SMOOTHED / base.interval))

@@ -161,7 +161,7 @@ class Templates:
     def _zones(
         self, fronts: list[Front], temperature: float, field: Complex
     ) -> tuple[list[_Zone], Array]:
-        """Return templates for the tube before, between and behind presses, in parts.
+        """Return templates for each part of the tube: before, between and behind presses.
 
         The starts of the parts in m are returned too. Where the matrices of presses vary along the
         tube, it is divided into more parts.
@@ -258,12 +258,12 @@ class _Zone:
 
     @cached_property
     def _shapes(self) -> Complex:
-        """Spectra of the parts at the origin, in single precision, (n_depths, n_parts, n_f)."""
+        """The spectra in `parts` at the origin, in single precision, (n_depths, n_parts, n_f)."""
         return np.stack([shape for shape, _, _ in self.parts], axis=1).astype(np.complex64)
 
     @cached_property
     def _filters(self) -> Complex:
-        """Conjugate spectra times the field, (n_depths, n_parts n_f)."""
+        """Conjugates of the spectra in `parts`, times the field, (n_depths, n_parts n_f)."""
         products = self._shapes.conj() * self.field.astype(np.complex64)
         return np.asarray(products.reshape(len(products), -1))
 
@@ -278,7 +278,7 @@ class _Zone:
         return np.asarray(np.moveaxis(found, 0, -1))
 
     def _factors(self, places: Array) -> Complex:
-        """Return the propagation factors of parts to places and back, (n_places, n_parts, n_f)."""
+        """Return propagation factors of `parts` to places and back, (n_places, n_parts, n_f)."""
         modes = propagation_factor(self.phases(places))
         return np.stack([modes[..., a] * modes[..., b] for _, a, b in self.parts], axis=1)
 

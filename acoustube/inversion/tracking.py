@@ -74,7 +74,7 @@ class Tracked:
 
     @property
     def fits(self) -> bool:
-        """Whether the misfit is at most :data:`acoustube.inversion.estimate.MISFIT`, or nan."""
+        """Whether the misfit is nan, or at most :data:`acoustube.inversion.estimate.MISFIT`."""
         return not self.misfit > MISFIT
 
 
@@ -137,7 +137,7 @@ class ContactTracker:
         if len(array) != base.n_samples:
             raise ConfigError(
                 f"a cycle has {len(array)} samples and the model's {base.n_samples}; give cycles "
-                "of one recorder"
+                "of the sensor that the model describes"
             )
         with self.threads.limit(limits=1, user_api="blas"):  # one thread: small matrices
             samples, noise = base.of_cycles(array[None])
@@ -172,7 +172,10 @@ class ContactTracker:
         return found
 
     def _renumber(self, track: Track) -> None:
-        """Give the contacts of a track the numbers of those at the same places."""
+        """Give contacts of `track` the numbers of the first track's at the same places.
+
+        Those at other places are given new numbers.
+        """
         old = self.track.branches.mean[0, : 2 * len(self.track.known) : 2]
         new = track.branches.mean[0, : 2 * len(track.known) : 2]
         free = {one.number: place for one, place in zip(self.track.known, old, strict=True)}

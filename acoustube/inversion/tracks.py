@@ -55,7 +55,7 @@ sought again in a cycle."""
 NEW_CONTACT = float(np.log(100.0))
 """Logarithm of the prior odds against one more contact."""
 SURE, GONE = 12.0, -2.0
-"""Logarithms of a contact's odds: their upper limit, and the value at which it is removed."""
+"""Upper limit of a contact's log odds, and value at or below which the contact is removed."""
 FAINT, FAINT_TESTS = 0.1e-3, 3
 """Depth in m above the library's least depth up to which a contact is not detectable, and number of
 tests in a row after which such a contact is removed."""
@@ -70,10 +70,11 @@ MERGED = 3
 LOUD = 3.0
 """Smoothed level of the whitened residual above which a new contact is sought at once."""
 BAD = 3.0
-"""Mean square of the whitened residual above which a fit is bad, as above a misfit of `MISFIT`."""
+"""Mean square of the whitened residual above which a fit is bad. A fit is also bad if its misfit
+exceeds `MISFIT`."""
 ADAPTED, RISE = 0.2, 1.5
-"""Weight of a cycle in the running mean of the model's squared error, and cap on the misfit of the
-cycle relative to that error, so that the echo of an undetected contact hardly raises the mean."""
+"""Weight of a cycle's squared misfit in the running mean square of the model's error, and cap on
+this misfit relative to that error, so that an undetected contact's echo hardly raises the mean."""
 ERROR, ERRORS = 0.03, (0.003, 0.4)
 """Initial relative error of the model, and its range."""
 SPREAD, BENT_SPREAD = 5e-4, 6e-3
@@ -265,10 +266,11 @@ class Track:
     def _in_place(
         self, fewer: Branches, best: Update, rank: int, samples: Complex, whiten: Weights
     ) -> Update:
-        """Return fits of a new contact without a young one behind it, if they are as likely.
+        """Return fits without a young contact behind the new one if as likely, else `best`.
 
-        The young one is then removed from the known contacts. Until the echo of the new contact was
-        high enough to be detected, its effect on later echoes may have been taken for a contact.
+        In the first case the young one is removed from the known contacts. Until the echo of the
+        new contact was high enough to be detected, its effect on later echoes may have been taken
+        for a contact.
         """
         for i in range(rank, len(fewer.tools)):
             if self.known[i].age >= YOUNG:

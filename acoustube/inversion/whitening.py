@@ -17,10 +17,11 @@ from acoustube.waves.scattering import Complex
 class Weights(ABC):
     """Whitening of the baseband by a lower triangular matrix W.
 
-    The precision matrix ``W^H W`` is the inverse of the covariance of the first n samples times the
-    baseband's `freedom`. A whitened sample depends only on the samples up to its own time. The
-    first rows of W are therefore the weights of the first samples, and an echo does not show in
-    whitened samples before it.
+    The precision matrix ``W^H W`` is the inverse of the covariance of the first n samples,
+    multiplied by the baseband's `freedom`, the expected squared magnitude of a whitened sample. A
+    whitened sample depends only on the samples up to its own time. The first rows of W are
+    therefore the weights of the first samples, and an echo does not show in whitened samples before
+    it.
 
     Attributes
     ----------
@@ -48,7 +49,7 @@ class Weights(ABC):
 
     @abstractmethod
     def until(self, n: int) -> Weights:
-        """Return the weights of the first n samples alone; `log_determinant` is kept."""
+        """Return the weights of the first n samples alone; `log_determinant` is unchanged."""
 
     @abstractmethod
     def energies(self, samples: Complex, start: int) -> Array:
@@ -93,7 +94,7 @@ class RankOneWeights(Weights):
     Attributes
     ----------
     scale : ndarray
-        Root of the baseband's `freedom` over D, (n,).
+        Root of the baseband's `freedom`, divided by D, (n,).
     shape : ndarray or None
         The vector u, (n,); None for zero.
     """
@@ -146,7 +147,7 @@ class RankOneWeights(Weights):
         return np.asarray((given - self.shape * later) * self.scale)
 
     def until(self, n: int) -> RankOneWeights:
-        """Return the weights of the first n samples alone; `log_determinant` is kept."""
+        """Return the weights of the first n samples alone; `log_determinant` is unchanged."""
         shape = None if self.shape is None else self.shape[:n]
         return replace(self, scale=self.scale[:n], shape=shape)
 
@@ -232,7 +233,7 @@ class FullWeights(Weights):
         return np.asarray(white @ self.matrix.conj())
 
     def until(self, n: int) -> FullWeights:
-        """Return the weights of the first n samples alone; `log_determinant` is kept."""
+        """Return the weights of the first n samples alone; `log_determinant` is unchanged."""
         return replace(self, matrix=self.matrix[:n, :n])
 
     def energies(self, samples: Complex, start: int) -> Array:
@@ -267,7 +268,7 @@ def _innovations(scaled: Complex, shape: Complex, before: Array, gain: Array) ->
     Parameters
     ----------
     scaled : ndarray
-        Samples over their independent errors' deviations, (..., n).
+        Samples times :attr:`RankOneWeights.scale`, (..., n).
     shape : ndarray
         The vector u of :class:`RankOneWeights`, (n,).
     before, gain : ndarray

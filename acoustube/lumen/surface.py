@@ -28,7 +28,7 @@ SEALING_PRESSURE = 1e3
 than a hundredth of the pressure that the barrier of the self-contact exerts on silicone at half its
 activation distance."""
 STRAIGHTENING_ROOM = 1.02
-"""Largest length of a bent pressed part, once straightened, over its undeformed length."""
+"""Largest length of a bent pressed part, once straightened, relative to its undeformed length."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,7 +64,7 @@ def blockage(frequency: Array, position: float) -> PlacedScatterer:
     ----------
     frequency : ndarray
         In Hz, (n,), rising and evenly spaced; the first and the last suffice. If the first is 0,
-        the mean of a drive is in the band.
+        the band includes the mean over time of a drive's signal.
     position : float
         Distance from the source end in m.
 

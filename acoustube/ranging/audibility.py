@@ -54,16 +54,17 @@ def audible_level(rangefinder: Rangefinder) -> float:
     Returns
     -------
     float
-        Relative to a steady tone of 1 kHz with the amplitude that the drive has at the transducer's
-        resonance. Frequencies above 20 kHz are inaudible and not counted.
+        Relative to a steady tone of 1 kHz with the sound pressure of a steady drive of unit
+        amplitude at the transducer's resonance. Sound above 20 kHz is inaudible and not counted.
 
     Notes
     -----
-    The weighted spectrum of the sound is ``A E H``: A-weighting, spectrum of the drive and response
-    of the resonator. By Parseval's theorem the mean square of one such pulse in each cycle is
-    2 ``cycle_rate`` times the integral of ``|A E H|^2`` over frequencies above 0; that of the tone
-    is 1/2. A sum over frequency steps equals the integral if they are less than half the reciprocal
-    of the sound's duration, which includes Q / f0 of the resonance's ringing.
+    The weighted spectrum of the sound is ``A E H``: A-weighting, spectrum of the drive after
+    loudspeaker and microphone, and response of the resonator. By Parseval's theorem the mean square
+    of the sound, one such pulse per cycle, is 2 ``cycle_rate`` times the integral of ``|A E H|^2``
+    over frequencies above 0; the mean square of the tone is 1/2. A sum over frequency steps equals
+    the integral if the steps are less than half the reciprocal of the sound's duration, which
+    includes Q / f0 for the ringing of the resonance.
     """
     r = rangefinder
     # Sampling rate in Hz of a drive without a closed-form spectrum: enough for its carrier.

@@ -98,9 +98,9 @@ def digitise(
 
 
 def _varied(mean: Array, rangefinder: Rangefinder, cycles: Numbers, seed: int) -> Array:
-    """Return `mean` with the trigger delay and gain of each cycle, (n, n_samples).
+    """Return the noise-free signal `mean` with each cycle's trigger delay and gain, (n, n_samples).
 
-    It is returned unchanged, (n_samples,), if neither varies.
+    If neither delay nor gain varies, `mean` is returned unchanged, (n_samples,).
     """
     if rangefinder.jitter == 0 and rangefinder.gain_wander == 0:
         return mean

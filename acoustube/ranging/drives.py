@@ -144,7 +144,7 @@ class Chirp(Section):
 
     @property
     def rate(self) -> float:
-        """Change of frequency in Hz/s."""
+        """Rate of change of the instantaneous frequency in Hz/s."""
         return self.bandwidth / self.duration
 
     def __call__(self, time: ArrayLike) -> Array:
@@ -253,17 +253,18 @@ def _fresnel(off: Complex, rate: float, end: float) -> Complex:
     """Return the integral in s from 0 to `end` of exp(2j pi (off t + rate t^2 / 2)) over t.
 
     With a = off / rate, the result is exp(-j pi rate a^2) times the integral of exp(j pi rate u^2)
-    over u from a to a + end. Each limit's part is expressed by w(z) = exp(-z^2) erfc(-j z) in the
-    half plane in which w is bounded. Where 0 lies between the limits, the integral over the whole
-    real axis is added.
+    over u from a to a + end. It is the difference of two integrals, each from one limit to infinity
+    or to -infinity, which are expressed by w(z) = exp(-z^2) erfc(-j z) in the half plane in which w
+    is bounded. Where 0 lies between the limits, the integral over the whole real axis is added.
     """
     a = off / rate
     root = np.exp(-0.25j * pi) * sqrt(pi * rate)
 
     def tail(u: Complex) -> Complex:
-        """Return the scaled integral from u to infinity, or to -infinity if u < 0.
+        """Return the scaled integral of exp(j pi rate v^2) over v from u to infinity.
 
-        It is multiplied by exp(-j pi rate u^2) 2 root / sqrt(pi).
+        For u < 0 the integral is from u to -infinity. The scale factor is
+        exp(-j pi rate u^2) 2 root / sqrt(pi), with root = exp(-j pi / 4) sqrt(pi rate).
         """
         return np.where(u.real >= 0, 1.0, -1.0) * wofz(1j * root * np.where(u.real >= 0, u, -u))
 

@@ -91,8 +91,9 @@ class Rangefinder(Section):
         paper and of EchoTube, 6 inches in the data sheet.
     gain : float
         Voltage in V received from a steady drive that a lossless tube reflects completely. Default
-        1.25, chosen so that the tanh over distance of the sleeve paper's calibration has nearly the
-        published asymptotes: 0.64 and 0.11 where 0.635 and 0.104 are published.
+        1.25, chosen so that the echo amplitude as a function of distance, a tanh in the sleeve
+        paper's calibration, has nearly the published asymptotes: 0.64 and 0.11 where 0.635 and
+        0.104 are published.
     face_reflection : complex
         Pressure reflection coefficient of the transducer's face. Default 0.3, chosen: no second
         echo of a press is reported.
@@ -132,7 +133,7 @@ class Rangefinder(Section):
         Time in s recorded before the drive starts. Default 0, chosen.
     temperature_bias, temperature_noise : float
         Mean and standard deviation of the reported temperature's error in K. Defaults 0.5 and 0.1,
-        chosen: those of a simple semiconductor sensor. 0.5 K is 0.09 % of distance.
+        chosen: those of a simple semiconductor sensor. 0.5 K changes distances by 0.09 %.
     temperature_resolution : float
         Step of the reported temperature in K; 0 for none. Default 0.1, chosen.
 
@@ -229,7 +230,7 @@ LOUDSPEAKER = Rangefinder(
 """A small loudspeaker with a microphone beside it; all other parameters are the defaults.
 
 The chosen corners are those of a loudspeaker of 15 mm in a closed box and of a MEMS microphone.
-The amplifier is set so that its own drive just does not clip (0.88 of 0.9 V). Since the microphone
-receives launched and returning sound alike, `gain` is `send` times 1 plus the face's reflection
-coefficient.
+The amplifier is set so that the drive, as the microphone receives it, just does not clip (0.88 of
+0.9 V). Since the microphone receives launched and returning sound alike, `gain` is `send` times
+(1 + the face's reflection coefficient).
 """

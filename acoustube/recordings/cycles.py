@@ -33,9 +33,11 @@ RATE = Number(1e3, 1e7, "Hz", "samples per second")
 SAMPLES = Number(2, 2**40, "samples", "length of a cycle", whole=True)
 
 MAX_LEAD_TIME = 0.1
-"""Largest absolute time in s of a first sample at which time 0 is taken as the trigger's."""
+"""A time axis is taken to be 0 at the trigger if its first sample is less than this time in s from
+0."""
 RATE_TOLERANCE = 1e-3
-"""Relative tolerance between a rate and the time axis: the accuracy of times with four digits."""
+"""Largest relative difference between a given sampling rate and that of the time axis: the accuracy
+of times with four digits."""
 
 ADVICE = "copy or export it again"
 """What to do about a damaged netCDF file."""
@@ -277,7 +279,8 @@ def _cut(path: Path, record: NDArray[Any], known: Named, notes: list[str]) -> ND
 def _rate(path: Path, known: Named, lengths: tuple[int, ...]) -> float:
     """Return the sampling rate in Hz, as given or else of the time axis.
 
-    Raise ConfigError if neither is there, they disagree, or the axis has none of the `lengths`.
+    Raise ConfigError if neither is there, they disagree, or the number of times on the axis is not
+    one of `lengths`.
     """
     given = _single(path, "sampling rate", known.get("sampling_rate"))
     axis = None
@@ -337,7 +340,7 @@ def _per_cycle(
     if values.shape != (n,):
         raise ConfigError(
             f"{path}: {name} has shape {values.shape} for {n} cycles of {length} samples; give one "
-            "value per cycle, or samples if the length of the cycles is wrong"
+            "value per cycle, or set samples if the length of the cycles is wrong"
         )
     return values
 

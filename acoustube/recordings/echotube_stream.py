@@ -24,7 +24,7 @@ from acoustube.base.rules import Number
 FRAME_BYTES = 2000
 """Bytes of a frame before it is encoded."""
 PULSE_WIDTH_BYTES = 2
-"""Bytes of the pulse width, which replace a cycle's first samples."""
+"""Bytes of a cycle's measured time of flight (pulse width), which replace its first samples."""
 
 QUEUE_DEPTH = 64
 """Largest number of waiting cycles: about three seconds."""
@@ -161,7 +161,7 @@ def encode(pulse_width: int, samples: ArrayLike) -> bytes:
     Parameters
     ----------
     pulse_width : int
-        In us, 0 to 65535.
+        Time of flight that the rangefinder itself measured, in us, 0 to 65535.
     samples : array of shape (time,)
         Unsigned 8-bit samples without the cycle's first two.
 

@@ -77,7 +77,11 @@ def _flac(path: Path) -> Contents:
 
 
 def _from_child(path: Path, kind: str) -> Contents:
-    """Return arrays and known attributes by name with unit; the first of equal names is kept."""
+    """Return a file's arrays and attributes by name; of equal names the first counts.
+
+    The names of arrays include their units. Attributes with unknown names are left out, except
+    those of netCDF.
+    """
     found: Contents = {}
     for label, value in child.read(kind, path, "recording"):
         name = label["name"]

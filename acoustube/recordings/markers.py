@@ -136,7 +136,7 @@ def _from_table(path: Path) -> tuple[Rows, str | None]:
     with path.open(encoding="utf-8-sig", newline="") as file:
         lines = [line for line in file if line.strip() and not line.startswith("#")]
     if not lines:
-        raise ConfigError(f"{path} is empty; it should name the columns column, x, y, z")
+        raise ConfigError(f"{path} is empty; its first row should be column, x, y, z")
     separator = next((s for s in "\t;" if s in lines[0]), ",")
     header, *cells = csv.reader(lines, delimiter=separator)
     places, unit = _header([plain(name) for name in header], path)

@@ -68,8 +68,8 @@ def read(
         ``signal`` (cycle, time) in the type that it is stored in, ``temperature`` (cycle) in degC,
         labels (cycle): those of known quantities, and all arrays of one value per cycle;
         coordinates ``cycle`` and ``time`` in s. Attributes: ``sampling_rate`` in Hz, ``source``,
-        ``file``, ``warnings`` (by line). A file of :func:`write` is returned as it was written if
-        no other argument is given and there is no sidecar file; else its attributes and its
+        ``file``, ``warnings`` (one per line). A file of :func:`write` is returned as it was written
+        if no other argument is given and there is no sidecar file; else its attributes and its
         variables of one value per cycle are kept, except those that are given. If the temperature
         is given, the mean error of the thermometer that the file states is set to zero.
 
@@ -200,8 +200,8 @@ def find(paths: str | Path | Iterable[str | Path]) -> list[Path]:
     Raises
     ------
     ConfigError
-        If an entry does not exist, is of an unknown kind or a folder without recordings: one line
-        for each.
+        If an entry does not exist, is of an unknown kind or a folder without recordings; the
+        message has a line for each such entry.
     """
     found: dict[Path, None] = {}
     wrong = []

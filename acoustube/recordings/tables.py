@@ -201,7 +201,8 @@ def read_table(path: Path) -> Contents:
     labels such as ``temperature``, or with two or more columns whose names end in a number and
     others that do not, each row is a cycle. Else the longer side is the time, and rows are cycles
     where both are equal. In a table without names whose rows outnumber the columns, a first column
-    that increases evenly in steps under 10 ms is the time; of two columns, in steps of any size.
+    that increases evenly in steps under 10 ms is the time. If the table has only two columns, the
+    steps may be of any size.
     """
     names, columns, settings = _cells(path)
     return settings | (_named_columns(names, columns) if names else _unnamed_columns(columns))
@@ -265,7 +266,7 @@ def _decimal_sign(rows: list[str], separator: str) -> str:
 
 
 def _settings(path: Path, comments: list[str]) -> Contents:
-    """Return values of comments ``# key: value unit``, except times, which are those of the day."""
+    """Return known quantities in comments ``# key: value unit``, but no signal or time (of day)."""
     pairs = (re.match(r"#\s*([^:=]+?)\s*[:=]\s*(\S+)\s*(.*)", line) for line in comments)
     return {
         with_unit(path, key, "" if value.endswith((",", ";")) else _unit_of(unit)): _number(value)
@@ -275,7 +276,10 @@ def _settings(path: Path, comments: list[str]) -> Contents:
 
 
 def _unit_of(words: str) -> str:
-    """Return the unit at the start of the rest of a comment, without remarks; empty if none."""
+    """Return the unit in the text after a comment's value, without a remark after ``#``.
+
+    The result is empty if there is no unit, or a remark in brackets in its place.
+    """
     unit = words.partition("#")[0].strip()
     return "" if unit.startswith("(") else unit
 

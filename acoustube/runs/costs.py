@@ -11,8 +11,8 @@ from acoustube.runs.config.si import SIPress, SISettings
 FIXED_SECONDS, FIXED_GIGABYTES = 20.0, 0.6
 """Time in s and memory in GB of a simulation, without the parts that grow with the FDTD grid."""
 STEPS_PER_LAYER = 3.9
-"""Number of FDTD time steps of a whole tube, for both source ends together, over its number of
-axial layers of cells. Steps that skip a layer because it is silent, about half, are not counted."""
+"""Number of FDTD time steps of a whole tube, for both source ends together, divided by its number
+of axial layers of cells. Steps that skip a silent layer, about half, are not counted."""
 SCATTERING_STEPS = 8 * 8000.0
 """Time steps of a scattering matrix by FDTD at one cell per mm: eight runs of 12 ms."""
 SECONDS_PER_CELL_STEP, LOSSY, GIGABYTES_PER_CELL = 0.6e-9, 3.0, 3e-7

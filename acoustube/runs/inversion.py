@@ -47,9 +47,9 @@ COLUMNS = ("recording", "group", "contact", *CONTACT_COLUMNS)
 USUAL_LENGTH = 2.5
 """Tube length in m, assumed where neither the sensor's file nor the recording states one."""
 SAME_AIR = 0.25
-"""Largest difference in K between the air temperatures of untouched cycles that are averaged. It is
-also that up to which a forward model is reused if there are untouched cycles: their clutter then
-shows the difference, and the inversion estimates it."""
+"""Largest difference in K between the air temperatures of untouched cycles that are averaged. If
+there are untouched cycles, a forward model is reused for air that differs from its own by less:
+their clutter then shows the difference, and the inversion estimates it."""
 EQUAL_AIR = 0.02
 """Largest difference of air temperature in K up to which a forward model is reused if there are no
 untouched cycles. Such a difference changes an estimated distance of 1.6 m by 0.06 mm."""
@@ -93,7 +93,7 @@ class Sensor:
     wrap: Wrap | None = None
 
     def own(self, library: Library) -> Library:
-        """Return a library with forces scaled to the sensor's modulus, as it is if that is unknown.
+        """Return a library, its forces scaled to the sensor's Young's modulus if this is known.
 
         Raises
         ------
@@ -257,7 +257,7 @@ class RecordingInverter:
     def _inverter(
         self, path: Path, data: xr.Dataset, rangefinder: Rangefinder, air: float
     ) -> Inverter:
-        """Return the inverter for a recording at an air temperature in degC, reused if known."""
+        """Return the inverter for a recording at an air temperature in degC, new or made before."""
         key = (data.sizes["time"], length := self.length(data) or USUAL_LENGTH, rangefinder)
         known = self._known.get(key)
         if known is not None and abs(known[0] - air) < (SAME_AIR if self.untouched else EQUAL_AIR):

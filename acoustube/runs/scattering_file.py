@@ -36,8 +36,9 @@ def to_dataset(found: StoredScattering) -> xr.Dataset:
     xarray.Dataset
         The complex matrix is ``s_real`` and ``s_imag`` (frequency, port_out, mode_out, port_in,
         mode_in). ``propagates`` (frequency, mode_in) and ``cut_on`` in Hz (mode_in) describe the
-        modes. The accuracy is ``error`` (frequency) of the spectral solver, or ``settled`` in the
-        time domain, of the shape of the matrix. Version, solver and grid are attributes.
+        modes. The accuracy is ``error`` (frequency) of the spectral solver, or in the time domain
+        ``settled``, of the shape of the matrix: whether each coefficient has converged. Version,
+        solver and grid are attributes.
     """
     dims = "frequency port_out mode_out port_in mode_in"
     s = found.s

@@ -41,9 +41,9 @@ FORCE = 0.113604
 Computed by acoustube 0.1.0 on Linux.
 """
 FREQUENCY, REFLECTED = 12e3, 0.64041
-"""Frequency in Hz, and modulus of the reflection coefficient of a bore narrowed by up to 40 %.
+"""Frequency in Hz, and modulus of the reflection coefficient of a narrowed bore.
 
-The narrowed part is 16 mm long.
+The radius is reduced by up to 40 %, over a length of 16 mm.
 
 Computed by a spectral method that is independent of the grid: case E of
 ``tests/data/scattering.csv``.

@@ -101,7 +101,7 @@ def twin_settings(path: Path) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``offset_deviation`` in K, ``reflectors`` and ``trigger`` in s, as attributes of the recipe.
+        ``offset_deviation`` in K, ``trigger`` in s and ``reflectors``, as attributes of the recipe.
 
     Raises
     ------

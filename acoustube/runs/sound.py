@@ -39,18 +39,18 @@ SOURCE_ENDS: tuple[SourceEnd, ...] = ("release", "absorbing")
 """Boundary conditions of the source end; both are computed, as a real end lies between them."""
 
 BAND_EDGE = -20.0
-"""Level in dB relative to the pulse's spectral peak; cut-ons in the band above it are reported."""
+"""Level in dB re the pulse's spectral peak; cut-ons where the spectrum exceeds it are reported."""
 
 BAND_LEVEL = -70.0
 """Level in dB relative to the pulse's spectral peak at which the computed band ends."""
 LOWEST_CARRIERS = 0.05
-"""Lowest computed frequency over the carrier: 6e-5 of a one-cycle pulse's energy is below it."""
+"""Lowest computed frequency divided by the carrier; 6e-5 of a one-cycle pulse's energy is lower."""
 FREQUENCY_STEP = 100.0
 """Frequency step in Hz of a scattering matrix, for impulse responses of up to 10 ms."""
 LOSSLESS_REFINEMENT = 4
 """Factor by which the frequency step of the spectral solver is divided without losses."""
 LARGEST_SPECTRAL_ERROR = 0.02
-"""Largest accepted quantile over frequency of the spectral solver's error estimate."""
+"""Largest accepted error estimate of the spectral solver at 95 % (library: 75 %) of frequencies."""
 TIME_STEP = 1e-6
 """Time step in s of recordings computed from scattering matrices and straight tube."""
 

@@ -87,7 +87,7 @@ def cells_of_surface(
     path : Path
         File of the surface, for messages.
     resolution : int
-        Grid cells across the ends, over the larger of their width and height.
+        Number of grid cells along the larger of the width and the height of the ends.
     highest : float
         Highest frequency in Hz.
     air : Air

@@ -35,8 +35,8 @@ VOLTS = 1.8
 MOST_CLOSURES = 200
 """Largest number of closures that are used; if there are more, evenly spaced ones are chosen."""
 MOST_CLUTTER = 5e-3
-"""Largest accepted power per length in 1/m that an untouched tube reflects: -23 dB re 1/m. Ordinary
-tubes reflect -48 dB re 1/m."""
+"""Largest accepted fraction of the incident power that an untouched tube reflects per length, in
+1/m: -23 dB re 1/m. Ordinary tubes reflect -48 dB re 1/m."""
 SAME_PLACE = 1e-4
 """Step in m to which labels of position are rounded, to group the cycles of one closure."""
 

@@ -41,15 +41,15 @@ CYCLES, UNTOUCHED = 3, 100
 AIR = 20.0
 """Air temperature in degC of the simulated recordings.
 
-A calibration depends on it only by the losses, which change by some per cent per 10 K.
+A calibration depends on it only through the losses, which change by some per cent per 10 K.
 """
 SIGMAS, FALSE_ALARMS = (2.8, 5.0, 8.0, 12.0, 20.0), 0.01
 """Least prominences to try, in standard deviations of untouched cycles, and largest accepted
-fraction of untouched cycles with a false echo. The first prominence with so few is used."""
+fraction of untouched cycles with a false echo. The first prominence within this limit is used."""
 LOW_PASS = 10e3
 """Highest cut-off in Hz of the envelope's low-pass; half the carrier is used if it is lower."""
 OUTSIDE = 0.9
-"""Highest frequency of the simulated closures over half the sampling rate of the computation."""
+"""Highest frequency of simulated closures, relative to half the sampling rate of computation."""
 
 
 def is_twin(path: Path) -> bool:
@@ -117,8 +117,8 @@ def _calibrated(own: Rangefinder, trigger: float, common: Mapping[str, Any]) -> 
         if found.false_alarms <= FALSE_ALARMS:
             return found
     raise ConfigError(
-        f"{PERCENT * found.false_alarms:.0f} % of its untouched cycles show an echo at "
-        f"{SIGMAS[-1]:g} deviations; record the untouched tube again, without contact"
+        f"{PERCENT * found.false_alarms:.0f} % of its untouched cycles show an echo above "
+        f"{SIGMAS[-1]:g} standard deviations; record the untouched tube again, without contact"
     )
 
 

@@ -207,7 +207,7 @@ def in_toml(found: FittedSensor) -> str:
 
 
 def tube_length(found: FittedSensor) -> float:
-    """Return the tube's length in m: stated, or by its end's echo, or 5 cm beyond all closures."""
+    """Return the tube's length in m: stated, from its end's echo, or 5 cm beyond all closures."""
     if found.length is not None:
         return found.length
     if found.rest.length is not None:
@@ -238,7 +238,10 @@ def _origin(found: FittedSensor) -> Any:
 
 
 def deviations_of(found: FittedSensor) -> dict[str, float]:
-    """Return standard deviations for the priors by name, none below the observed scatter."""
+    """Return standard deviations for the priors, by name.
+
+    That of the gain is not below the scatter of echo levels and of the gain from cycle to cycle.
+    """
     twin = found.twin
     return {
         "temperature": max(twin.deviation("temperature_offset"), 0.1),
@@ -304,7 +307,7 @@ def _clutter(found: FittedSensor) -> Any:
 
 
 def _correlation(found: FittedSensor) -> Any:
-    """Return the correlation coefficients of the shared parameters' posterior, row by row."""
+    """Return the posterior correlations of the parameters that all closures share, row by row."""
     covariance = found.twin.posterior.covariance
     root = np.sqrt(np.diag(covariance))
     names = [name.removeprefix("log_") for name in SHARED]

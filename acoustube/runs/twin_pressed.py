@@ -93,7 +93,7 @@ def fitted_material(
 
 
 def _check_starts(found: FittedSensor, recordings: Sequence[tuple[Path, xr.Dataset]]) -> None:
-    """Raise unless recordings begin at the time of the closures' relative to the send pulse."""
+    """Raise unless recordings begin at the same time from the send pulse as those of closures."""
     band = found.twin.band
     for path, data in recordings:
         start = float(data["time"].values[0])
@@ -191,7 +191,7 @@ def _state(
 
 
 def _contact(inverted: Inversion, place: float) -> tuple[Contact | None, str]:
-    """Return the contact nearest to a place in m, and why its depth is unusable, else empty."""
+    """Return the contact nearest to a place in m, and why its depth is unusable ("" if usable)."""
     likely = [one for one in inverted.contacts if one.probability > 0.5]
     if not likely:
         return None, "no contact is found in its echo"

@@ -51,7 +51,8 @@ REFLECTORS_AT_ONCE = 256
 TAPER = 0.1
 """Fraction of the band over which each of its ends is tapered."""
 QUIET = 2.0
-"""Time after a cycle in which the ends of the band may ring, times the width of a taper in Hz."""
+"""Product of two quantities: the time in s after a cycle in which the ends of the band may ring,
+and the width of a taper in Hz."""
 
 
 def assembled(

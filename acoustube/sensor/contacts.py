@@ -18,7 +18,8 @@ from acoustube.sensor.tables import PressTables
 HALF_PRESS = 0.015
 """Half the length in m of tube that a contact deforms."""
 SAME = 1e-6
-"""Difference of diameters up to which they count as equal, relative to that of adjacent tools."""
+"""Largest difference of diameters that count as equal, relative to the difference between the
+diameters of adjacent tools."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -40,8 +40,7 @@ class Shape:
     first_bin : int
         Index of the band's first frequency in the spectrum.
     ends : tuple of float
-        Places in m where the modes of the sections begin and end: both ends of the tube, or of its
-        wrap.
+        Places in m between which the `modes` propagate: both ends of the tube, or of its wrap.
     face : complex
         Reflection coefficient of the transducer's face.
     places : int
@@ -76,9 +75,10 @@ class Parts(NamedTuple):
     first : jax.Array
         Index of the first row of each tool, (n_tools,).
     untouched : Pair
-        Echo of the untouched tube, clutter included, over the launched wave, (n_f,).
+        Echo of the untouched tube, clutter included, relative to the launched wave, (n_f,).
     scale : Pair
-        Spectrum of the voltage of a complete reflection times the sampling rate, in V, (n_f,).
+        Spectrum of the voltage of a complete reflection, multiplied by the sampling rate, in V,
+        (n_f,).
     growth : jax.Array
         Exponential that undoes the decay due to the imaginary part of the frequencies,
         (n_samples,).
@@ -239,7 +239,7 @@ class CycleModel:
 def echo_of(
     shape: Shape, parts: Parts, place: jax.Array, depth: jax.Array, diameter: jax.Array
 ) -> Pair:
-    """Return the echo of the contacts of one cycle over the launched wave, (n_f,).
+    """Return the echo of the contacts of one cycle, relative to the launched wave, (n_f,).
 
     The parameters are those of :func:`changes_of`, but for one cycle, with rising places,
     (n_contacts,).
@@ -259,7 +259,7 @@ def echo_of(
 
 
 def _press(parts: Parts, depth: jax.Array, diameter: jax.Array) -> Press:
-    """Return the table rows and interpolation weights of contacts, over depth and diameter."""
+    """Return table rows and weights of contacts, for interpolation in depth and diameter."""
     n_tools = parts.depths.shape[0]
     if n_tools == 1:
         row, weight = _rows(parts, jnp.zeros(depth.shape, jnp.int32), depth)

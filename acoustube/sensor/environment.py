@@ -22,8 +22,8 @@ LONGEST_MOVE, LARGEST_CHANGE = 0.02, 0.05
 """Largest move of the finger in a step, in m, and largest change of its force, relative to the
 largest force."""
 NEAR, ALIKE = 5e-3, 0.05
-"""Distance in m, and difference of force relative to the largest force, at which the goal is
-reached."""
+"""Distance in m, and difference of force relative to the largest force, below both of which the
+goal is reached."""
 LONGEST_EPISODE = 200
 """Number of steps after which an episode is truncated."""
 
@@ -45,8 +45,8 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
         Move along the tube and change of the force, each from -1 to 1, in units of
         :data:`LONGEST_MOVE` and :data:`LARGEST_CHANGE`.
     observation_space : gymnasium.spaces.Dict
-        ``cycle``, the counts over full scale, (n_samples,) from 0 to 1; ``goal``, the place and the
-        force to be reached, as fractions of their ranges from 0 to 1.
+        ``cycle``, the counts divided by full scale, (n_samples,) from 0 to 1; ``goal``, the place
+        and the force to be reached, as fractions of their ranges from 0 to 1.
 
     Raises
     ------
@@ -57,9 +57,9 @@ class PressAtPlace(gymnasium.Env if gymnasium else object):  # type: ignore[misc
     Notes
     -----
     The reward of a step is minus the sum of the distance to the goal in units of 10 cm and the
-    difference of force over the largest force. An episode ends at the goal, and is truncated after
-    :data:`LONGEST_EPISODE` steps. ``info`` holds the true contact: ``place`` in m, ``force`` in N,
-    ``depth`` in m.
+    difference of force relative to the largest force. An episode ends at the goal, and is truncated
+    after :data:`LONGEST_EPISODE` steps. ``info`` holds the true contact: ``place`` in m, ``force``
+    in N, ``depth`` in m.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012

@@ -137,15 +137,15 @@ def echo(
     reflector : jax.Array
         Index of the clutter's first reflector behind each contact, (n_contacts,).
     ends : tuple of float
-        Places in m where the modes of the sections begin, at the face or at the start of the wrap,
-        and where they end; fixed when compiled.
+        Places in m between which the modes of `constants` propagate: the face or the start of the
+        wrap, and the far end of the tube or of the wrap; fixed when compiled.
     face : complex
         Reflection coefficient of the face.
 
     Returns
     -------
     Pair
-        Amplitude of the arriving plane wave over that launched, (n_f,).
+        Amplitude of the arriving plane wave relative to that of the launched one, (n_f,).
 
     Notes
     -----
@@ -252,9 +252,10 @@ def _propagated(
 def _between(
     table: jax.Array, ends: tuple[float, float], here: jax.Array | float, there: jax.Array
 ) -> jax.Array:
-    """Return the log amplitude or the phase that modes gain between places on the tube, (m, n_f).
+    """Return the change of the modes' log amplitude or phase between two places, (m, n_f).
 
-    `table` is `decay` or `turn` of :class:`Constants`, which is integrated along the tube.
+    `table` is `decay` or `turn` of :class:`Constants`. The logarithm is natural, and the phase is
+    in revolutions.
     """
     if table.ndim == 2:
         return table * (there - here)

@@ -316,6 +316,6 @@ class TubeSensor:
 
 
 def _key(seed: int) -> jax.Array:
-    """Return the random key of a seed of up to 63 bits; a key of JAX holds the lower 32 alone."""
+    """Return the random key of all bits of a seed, up to 63; jax.random.key uses 32 of them."""
     key = jax.random.key(seed & 0xFFFFFFFF)
     return jax.random.fold_in(key, seed >> 32) if seed >> 32 else key

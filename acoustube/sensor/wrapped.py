@@ -30,9 +30,11 @@ PLACES = 9
 interpolation between them changes echoes of presses on the sleeve paper's arm by up to 0.2 %
 (rms)."""
 SPACING = 0.01
-"""Spacing in m of the tables of the phases, between which they are interpolated linearly."""
+"""Largest spacing in m of the places at which the phases are tabulated; between these places the
+phases are interpolated linearly."""
 ROWS = 64
-"""Number of rows of the tables that are joined to the bends at once, in double precision."""
+"""Number of rows of the tables (each one depth of one indenter) that are converted to the modes of
+the bends at once, in double precision."""
 
 
 def wrapped_path(
@@ -136,7 +138,8 @@ def _joined(
 ) -> Complex:
     """Return rows of the straight tube's tables as scattering between a wrap's modes at a place.
 
-    The result is (n, n_f, 2, 3, 2, 3), for rows (n, 2, n_different, n_f).
+    `rows` and `number` are as in :class:`PressTables`, with n rows, (n, 2, n_different, n_f); the
+    place is in m. The result is (n, n_f, 2, 3, 2, 3): port and mode out, port and mode in.
     """
     from acoustube.inversion.joint_sums import joined_values  # imports Numba, if a tube is wrapped
 
@@ -173,7 +176,7 @@ def _bend(number: NDArray[np.int64]) -> NDArray[np.float32]:
 
 
 def far_end(path: WrappedPath, length: float, reflection: float) -> Complex:
-    """Return the reflection matrix of a tube's far end at the end of the wrap, (n_f, m, m)."""
+    """Return the reflection matrix of a tube's far end, seen at the wrap's end, (n_f, m, m)."""
     k = np.concatenate([path.k, path.own_k], axis=1)
     passed, reflected = path.joint(path.wrap.stop)
     end = reflection * np.exp(-2j * k * (length - path.wrap.stop))
@@ -183,15 +186,19 @@ def far_end(path: WrappedPath, length: float, reflection: float) -> Complex:
 def untouched_echo(path: WrappedPath, far: Complex, entry: Complex, face: complex) -> Complex:
     """Return the echo of a wrapped tube without contact or clutter, (n_f,).
 
+    It is the amplitude of the plane mode that arrives at the transducer's face, relative to that
+    launched there; repeated reflections at the face are included.
+
     Parameters
     ----------
     path : WrappedPath
     far : ndarray
         Reflection matrix from :func:`far_end`, (n_f, m, m).
     entry : ndarray
-        Matrix of :class:`acoustube.inversion.paths.Entry`, (n_f, m, m_s).
+        Matrix of :class:`acoustube.inversion.paths.Entry`, from the m_s straight modes at the face
+        to the m modes of the wrap, (n_f, m, m_s).
     face : complex
-        Reflection coefficient of the face.
+        Reflection coefficient of the transducer's face.
     """
     way = np.exp(-1j * (path.phase(path.wrap.stop) - path.phase(path.wrap.start)))
     load = entry.swapaxes(1, 2) @ (way[:, :, None] * far * way[:, None]) @ entry

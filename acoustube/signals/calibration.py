@@ -27,15 +27,17 @@ MIN_DISTANCES = 6
 MIN_SPAN = 0.3
 """Least range of the distances in m: several lengths of a pulse."""
 CLOSURE_PROMINENCE = 1e-5
-"""Least prominence of a closure's echo: low enough that its highest peak is always found."""
+"""Least prominence of a closure's echo, relative to the send pulse: low enough that the echo's
+highest peak is always found."""
 PROMINENCE_SIGMAS = 2.8
 """Least prominence, in standard deviations of untouched cycles (sleeve paper, section II-E)."""
 HALF_NORMAL_RATIO = 0.8937
-"""Standard deviation of the half-normal distribution (rectified normal noise) over its median."""
+"""Standard deviation of the half-normal distribution (rectified normal noise), divided by its
+median."""
 RAYLEIGH_RATIO = 0.6028 / np.sqrt(2 * np.log(2))
-"""Standard deviation of the half-normal distribution over the median of the Rayleigh distribution,
-both of normal components with equal variance: for a compressed chirp, whose samples are magnitudes
-of two components."""
+"""Standard deviation of the half-normal distribution, divided by the median of the Rayleigh
+distribution, both of normal components with equal variance: for a compressed chirp, whose samples
+are magnitudes of two components."""
 SEARCH_HALF_WIDTH = 0.3
 """Half the width in m of the search window around a closure's distance."""
 CLOSURE_SIGMAS = 6.0
@@ -91,7 +93,7 @@ class Calibration:
     amplitude: Array
 
     def fitted_amplitude(self, distance: ArrayLike) -> Array:
-        """Return the fitted echo amplitude of closures at distances in m, over the send pulse's."""
+        """Return the fitted amplitude of closures at distances in m, relative to the send pulse."""
         return arctan_fall(np.asarray(distance, float), *(c.value for c in self._parameters))
 
     @property

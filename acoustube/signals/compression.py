@@ -20,7 +20,8 @@ from acoustube.base.rules import Choice
 from acoustube.signals.filters import LONGEST_TEMPLATE
 
 WINDOWS = {"rectangular": (1.0, 0.0), "hann": (0.5, 0.5), "hamming": (0.54, 0.46)}
-"""Windows a + b cos(2 pi t / T) about their middle, by name: a and b."""
+"""Coefficients a and b of each window a + b cos(2 pi t / T), by name; T is the window's duration,
+and its middle is at t = 0."""
 WINDOW = Choice(tuple(WINDOWS), "weighting of the chirp's template")
 
 
@@ -50,7 +51,7 @@ def chirp_template(
     Returns
     -------
     array of shape (n,)
-        An odd number of samples, its middle that of the chirp.
+        An odd number of samples, the middle one at the middle of the chirp.
 
     Raises
     ------

@@ -48,16 +48,18 @@ TEMPLATE_CYCLES = 10
 class TimeGain(NamedTuple):
     """Attenuation model of the time gain: c1 tanh(c2 (l - c3)) + c4, relative to the send pulse.
 
+    It gives the amplitude of an echo from the distance l.
+
     Attributes
     ----------
     c1 : float
-        Half the fall of the level with distance; negative.
+        Half the change of the amplitude over all distances; negative, since the amplitude falls.
     c2 : float
         Steepness of the fall in 1/m.
     c3 : float
         Distance l in m of the middle of the fall.
     c4 : float
-        Level at the middle of the fall.
+        Amplitude at the middle of the fall.
 
     Notes
     -----
@@ -73,7 +75,7 @@ class TimeGain(NamedTuple):
     c4: float
 
     def level(self, distance: ArrayLike) -> Array:
-        """Return the relative amplitude of an echo from distances in m."""
+        """Return the amplitude of an echo from distances in m, relative to the send pulse."""
         return np.asarray(self.c1 * np.tanh(self.c2 * (np.asarray(distance) - self.c3)) + self.c4)
 
 
@@ -102,8 +104,8 @@ def remove_offset(samples: ArrayLike, sampling_rate: float, cutoff: float = OFFS
 
     Notes
     -----
-    A cycle lasts for only a few periods of the cut-off frequency. It is therefore continued by its
-    mirror image, up to its whole length. A constant is removed exactly.
+    A cycle lasts for only a few periods of the cut-off frequency. It is therefore continued at both
+    ends by its mirror image, by up to its own length. A constant is removed exactly.
     """
     check_cutoff("cutoff", cutoff, sampling_rate)
     cycles = np.asarray(samples, dtype=float)
@@ -142,8 +144,9 @@ def compensate(samples: ArrayLike, distance: ArrayLike, gain: TimeGain) -> Array
         )
     if not np.all((level > 0) & (level < np.inf)):
         raise ValueError(
-            f"the gain's level falls to {float(np.min(level)):.3g} within the cycle and must stay "
-            "positive; calibrate over a longer range of distances, and check the temperature"
+            f"the gain's attenuation model falls to {float(np.min(level)):.3g} within the cycle "
+            "and must stay positive; calibrate over a longer range of distances, and check the "
+            "temperature"
         )
     return np.asarray(np.asarray(samples, dtype=float) / level)
 
@@ -164,7 +167,7 @@ def template(sampling_rate: float, frequency: float, cycles: float = TEMPLATE_CY
     Returns
     -------
     array of shape (n,)
-        An odd number of samples, its middle that of the window.
+        An odd number of samples, the middle one at the middle of the window.
 
     Raises
     ------

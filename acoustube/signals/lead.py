@@ -15,7 +15,8 @@ from acoustube.signals.processing import Processing
 MOST_CYCLES = 500
 """Largest number of cycles, evenly spread over a record, in which the send pulse is sought."""
 COMPRESSED_WIDTH = 4.0
-"""Largest duration from the rise of a compressed chirp to its fall, times its bandwidth."""
+"""Longest time after the rise of a compressed chirp in which its maximum is sought, times its
+bandwidth."""
 LEAST_AGREEMENT = 0.9
 """Least fraction of cycles in which the send pulse must start at the same time."""
 

@@ -53,7 +53,7 @@ from acoustube.signals.time_of_flight import (
 EACH = replace(checks.CELSIUS, empty=True)
 """Rule for the temperature of each cycle, of which there may be none."""
 NORMAL_MEDIAN = 1.4826
-"""Standard deviation of normal numbers over the median of their absolute values."""
+"""Standard deviation of normal numbers, divided by the median of their absolute values."""
 NOISE_RATIO_RECTIFIED, NOISE_RATIO_MATCHED = np.sqrt(1 - 2 / np.pi), 0.78
 """Ratio of the noise of the envelope's slope without an echo to that at an echo's peak.
 
@@ -78,10 +78,10 @@ class Ranging:
     envelope : array of shape (..., time)
         Envelope, relative to the send pulse's maximum.
     send_time, send_amplitude : array of shape (...)
-        Time in s of the maximum of the send pulse's envelope, without gain and matched filter but
-        with the shift; for a clipped pulse, half its duration after its rise. The amplitude is the
-        maximum of the envelope before the search window, after gain and matched filter, in the
-        signal's unit.
+        Time in s of the maximum of the send pulse's envelope, without gain and matched filter, plus
+        `send_shift` of :func:`process`; for a clipped pulse, the maximum is taken to lie half its
+        duration after its rise. The amplitude is the maximum of the envelope before the search
+        window, after gain and matched filter, in the signal's unit.
     echoes : Echoes
         All echoes found in the search window, with amplitudes relative to the send pulse.
     return_time, amplitude : array of shape (...)
@@ -201,7 +201,7 @@ def process(
     pressure : array of shape (..., time)
         Pressure at the probe, in any unit.
     pulse_duration : float
-        Duration of the source pulse in s: the number of cycles over the carrier frequency.
+        Duration of the source pulse in s: the number of cycles divided by the carrier frequency.
     probe_position : float
         Distance of the probe from the source end in m.
     temperature : float or array of shape (...)
@@ -214,8 +214,8 @@ def process(
     gain : TimeGain, optional
         See :func:`compensate`.
     template : array of shape (n,), optional
-        See :func:`matched_filter`. A complex one, of :func:`chirp_template`, compresses the pulse:
-        its magnitude is the envelope, with no low-pass, and gives the time of the send pulse too.
+        See :func:`matched_filter`. With a complex one, of :func:`chirp_template`, the envelope is
+        the magnitude of the filtered cycle, with no low-pass; it gives the send pulse's time too.
     cutoff : float
         Cut-off of the envelope's low-pass in Hz.
     prominence : float
@@ -251,13 +251,14 @@ def process(
     compressed pulse it starts a whole pulse duration after the maximum: earlier echoes begin while
     the pulse is being sent, and the side lobes of the send pulse end by then.
 
-    Noise shifts a maximum by the noise's slope over the envelope's curvature. The slope's standard
-    deviation is estimated from the differences of adjacent samples after the send pulse, by their
-    median, which is robust against a few echoes. It is smaller there than at an echo, because noise
-    alone is rectified (:data:`NOISE_RATIO_RECTIFIED`); the stated deviation is corrected for that,
-    and includes the effect of sampling. The slope of a compressed pulse's envelope is that of one
-    quadrature component with and without an echo (Rice), so that no correction is needed. The time
-    of an echo with a flat top, of a uniform burst longer than the filter, varies more than stated.
+    Noise shifts a maximum by the noise's slope divided by the envelope's curvature. The slope's
+    standard deviation is estimated from the differences of adjacent samples after the send pulse,
+    by their median, which is robust against a few echoes. It is smaller there than at an echo,
+    because noise alone is rectified (:data:`NOISE_RATIO_RECTIFIED`); the stated deviation is
+    corrected for that, and includes the effect of sampling. The slope of a compressed pulse's
+    envelope is that of one quadrature component with and without an echo (Rice), so that no
+    correction is needed. The time of an echo with a flat top, of a uniform burst longer than the
+    filter, varies more than stated.
     """
     time, pressure = _check_signal(time, pressure)
     _check_rows(temperature, pressure.shape[:-1])

@@ -26,8 +26,9 @@ class Echoes:
     amplitudes : array of shape (..., echo)
         Envelope at the peak, in the envelope's unit.
     prominences : array of shape (..., echo)
-        Height of the peak over the higher of its two adjacent minima, in the same unit, as in
-        ``scipy.signal.find_peaks``.
+        Height of the peak above the higher of two minima, in the same unit, as in
+        ``scipy.signal.find_peaks``: the minima between the peak and the next higher point on either
+        side, or the end of the search window.
     """
 
     times: Array
@@ -129,7 +130,7 @@ def find_echoes(
 
 
 def _for_each(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return a limit of the search window for each envelope; raise ValueError if none fits."""
+    """Return a limit of the search window per envelope; raise ValueError if the shape is wrong."""
     try:
         return np.broadcast_to(np.asarray(value, float), shape)
     except ValueError as error:

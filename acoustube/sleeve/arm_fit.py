@@ -45,7 +45,7 @@ LENGTH_RANGE = 0.03, 1.5
 MIN_MARKERS = 3
 """Least number of markers per column: a line goes through any two."""
 THIRD_DISTANCE = 0.01
-"""Distance in m from the line up to which a marker is kept if its column has only three."""
+"""Distance in m from the line up to which each marker of a column of only three is an inlier."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,7 +72,7 @@ class Line:
 
     @checked(confidence=Number(0, 1))
     def interval(self, confidence: float = 0.95) -> Array:
-        """Return the intervals of a0 and a1 at a confidence of 0 to 1, (2, 2): low and high."""
+        """Return lower and upper limits (columns) of a0 and a1 (rows) at a confidence of 0 to 1."""
         half = student.ppf(0.5 + confidence / 2, self.freedom) * np.sqrt(np.diag(self.covariance))
         return np.array([self.radius, self.taper])[:, None] + half[:, None] * [-1.0, 1.0]
 
@@ -265,7 +265,7 @@ def _radius_line(points: Array) -> Line:
 def _line(values: Array, jacobian: Array, residuals: Array) -> Line:
     """Return the radius line of a least-squares fit: its last two parameters are a0 and a1.
 
-    Residuals are in m, (n,). Their Jacobian is (n, n_parameters), of any sign.
+    Residuals are in m, (n,). Their Jacobian is (n, n_parameters); its sign has no effect.
     """
     freedom = len(residuals) - len(values)
     variance = float(residuals @ residuals) / freedom

@@ -24,7 +24,7 @@ from acoustube.waves import Bent, PlacedScatterer, joined_bends
 from acoustube.waves.scattering import ModalScattering
 
 HIGHEST_WAVENUMBER = 6.0
-"""Largest transverse wavenumber j'mn, times the bore's radius, of the modes in a bend.
+"""Largest j'mn (transverse wavenumber times the bore's radius) of the modes in a bend.
 
 With 10 instead, the scattering of a loop changes by 1.4e-3.
 """

@@ -32,7 +32,8 @@ OUTER_DIAMETER = 11.1e-3
 """Outer diameter of the sleeve paper's tube in m."""
 N_TUBES = 2
 COVERED_HALF_WIDTH = 0.01
-"""Half width in m of the skin covered by a tube: a 25 mm contact there still presses it."""
+"""Half width in m of the skin covered by a tube: a contact of 25 mm in diameter, centred at this
+distance from the tube, still presses the tube."""
 DISTANCE_DEVIATION = 0.05
 """Standard deviation of a distance in m: 5.23 cm is the sleeve paper's median error on the
 flat tube."""
@@ -257,7 +258,7 @@ def check_reach(tubes: Sequence[Helix], reach: float) -> None:
 
 
 def _most_loops(tube: Helix, longest: float) -> float:
-    """Return the largest number of loops, in tenths, with a tube of at most `longest` m."""
+    """Return the largest multiple of 0.1 loops that needs a tube of at most `longest` m."""
     tenths = range(1, int(10 * tube.loops) + 1)
     return bisect_right(tenths, longest, key=lambda n: replace(tube, loops=n / 10).tube_length) / 10
 

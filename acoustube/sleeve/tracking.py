@@ -45,7 +45,8 @@ class TrackingSettings:
     speed : float
         Standard deviation of a contact's initial speed, in m/s.
     gate : float
-        Distance, in standard deviations, beyond which a candidate is not assigned to a contact.
+        Distance of a candidate from a contact's predicted place, in standard deviations of this
+        distance, beyond which the candidate is not assigned to the contact.
     hits : int
         Number of cycles with an assigned candidate after which a contact is confirmed.
     misses : int
@@ -108,8 +109,8 @@ class ContactTracker:
     Each contact has a Kalman filter; the states of all contacts are kept in arrays. The two ends
     are processed in turn: a contact hidden behind another from one end is still tracked by the
     other end. A candidate within the gate of a contact that has a nearer candidate is taken for a
-    ripple of the same echo: the resolution of two presses is the gate's width, 4 cm for a deviation
-    of 1 cm.
+    ripple of the same echo: two presses are resolved only if they are farther apart than the gate,
+    4 cm or more for a deviation of 1 cm.
     """
 
     def __init__(self, settings: TrackingSettings | None = None, *, length: float | None = None):
@@ -181,7 +182,7 @@ class ContactTracker:
         self._covariance = transition @ self._covariance @ transition.T + np.outer(noise, noise)
 
     def _take_in(self, places: Array) -> NDArray[np.bool_]:
-        """Update contacts by candidates, start new ones, and return a mask of those detected."""
+        """Update contacts by candidates, start new ones, and return a mask of contacts detected."""
         variance = self._covariance[:, 0, 0] + self.settings.deviation**2
         away = places - self._state[:, :1]
         squares = away**2 / variance[:, None]
@@ -230,6 +231,6 @@ class ContactTracker:
 
 
 def _candidates(values: ArrayLike) -> Array:
-    """Return candidates as one row without nan."""
+    """Return candidates as a 1-D array, without values that are not finite."""
     row = np.asarray(values, float).ravel()
     return row[np.isfinite(row)]

@@ -378,7 +378,7 @@ def bend_generator(
     Returns
     -------
     generator : ndarray
-        Matrix of d/ds for m coefficients of pressure and m of velocity / k, in 1/m, (n, 2 m, 2 m).
+        Matrix of d/ds for the modes' pressures a, then a_u / k (module's text), 1/m, (n, 2 m, 2 m).
     admittance : ndarray
         k_z / k of each mode in the straight bore, (n, m).
     """

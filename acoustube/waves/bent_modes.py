@@ -1,14 +1,14 @@
 """Modes of a bore of constant curvature and torsion, and its joints with a straight bore.
 
 The coupled equations of :mod:`acoustube.waves.bends`, whose coefficients do not vary along the arc
-length s, have solutions (p, v) exp(-j beta s). p and v are pressure and axial velocity as
-coefficients of the straight bore's modes, and beta is the wavenumber. These are the bent bore's own
-modes, which propagate in it without mode conversion. For each forward mode, (Q p, -Q v) with -beta
-is a backward mode. The diagonal matrix Q is 1 for straight modes that are symmetric about the plane
-of the bend, and -1 for antisymmetric ones: the centre line rotated by half a turn about its normal
-is the same line, in the opposite direction. By reciprocity p_i Q v_j + v_i Q p_j is zero for two
-different modes i and j; they are normalised to p_i Q v_i = 1, the value for a straight mode of unit
-power.
+length s, have solutions (p, v) exp(-j beta s). p is the pressure, v is rho c times the axial
+velocity, both as coefficients of the straight bore's modes, and beta is the wavenumber. These are
+the bent bore's own modes, which propagate in it without mode conversion. For each forward mode,
+(Q p, -Q v) with -beta is a backward mode. The diagonal matrix Q is 1 for straight modes that are
+symmetric about the plane of the bend, and -1 for antisymmetric ones: the centre line rotated by
+half a turn about its normal is the same line, in the opposite direction. By reciprocity
+p_i Q v_j + v_i Q p_j is zero for two different modes i and j; they are normalised to p_i Q v_i = 1,
+the value for a straight mode of unit power.
 
 Where a bent bore continues straight, pressure and axial velocity are continuous. As sums of the
 straight bore's modes, each has therefore equal coefficients on both sides. All modes in the sums
@@ -65,7 +65,7 @@ class BentModes:
     returned : ndarray
         Reflection of straight modes by the joint, (n_f, m_s, m_s).
     fields : ndarray
-        Pressure and velocity of the bent modes as coefficients of the straight bore's N modes,
+        p and v of the bent modes (see the module), as coefficients of the straight bore's N modes,
         (n_f, 2, N, m).
     symmetry : ndarray
         Signs of the symmetry of the straight bore's N modes about the plane of the bend, (N,).

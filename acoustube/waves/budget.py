@@ -39,7 +39,7 @@ class Budget:
     Attributes
     ----------
     cells_per_wavelength : float
-        Wavelength over the largest cell size, at the highest frequency of the pulse's band.
+        Wavelength divided by the largest cell size, at the highest frequency of the pulse's band.
     delay_bias : float
         Relative error of the plane wave's group delay at the carrier, due to the grid's dispersion.
     section_error : float
@@ -75,7 +75,7 @@ class Budget:
         )
         return (
             f"{self.cells_per_wavelength:.0f} cells per wavelength; the grid moves the echo by "
-            f"{MM * self.delay_bias * path / 2:+.3f} mm, the bore's section by "
+            f"{MM * self.delay_bias * path / 2:+.3f} mm and changes the bore's section by "
             f"{100 * self.section_error:+.2f} %, the cut-on of (1,1) by "
             f"{100 * self.cut_on_error:+.2f} %; {absorbing}the highest pressure at the end of the "
             f"recording is {self.ringing:.0f} dB relative to its maximum"

@@ -199,9 +199,10 @@ def plane_wavenumbers(bend: ModalScattering, frequency: NDArray[Any]) -> Complex
     Parameters
     ----------
     bend : ModalScattering
-        Scattering with the plane wave `inside`.
+        Scattering whose attribute `inside` holds the plane wave in the bend.
     frequency : ndarray
-        In Hz, real or complex, (n,); the result is of first order in the imaginary part.
+        In Hz, real or complex, (n,). The wavenumbers are exact to first order in the frequency's
+        imaginary part.
     """
     assert bend.inside is not None
     table = CubicSpline(bend.frequency, bend.inside.wavenumber, axis=1)

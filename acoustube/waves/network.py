@@ -264,7 +264,10 @@ def _forward_waves(
     source: Reflection,
     plane: int,
 ) -> list[Complex]:
-    """Return the amplitudes (n, m, 1) of the forward waves at the start of each section."""
+    """Return the amplitudes (n, m, 1) of the forward waves at the start of each section.
+
+    The source launches the plane mode, of index `plane`, with an amplitude of 1.
+    """
     m = waves.shape[1]
     launched = np.zeros((len(waves), m, 1), complex)
     launched[:, plane] = 1.0
@@ -285,7 +288,11 @@ def _propagator(waves: Complex, distance: float) -> Complex:
 def _pressure_at(
     ahead: float, left: float, waves: Complex, forward: Complex, load: Complex
 ) -> Complex:
-    """Return the total modal pressures (n, m), of both directions, at a point of straight tube."""
+    """Return the total modal pressures (n, m), of both directions, at a point of straight tube.
+
+    The point is `ahead` m from the start of its section and `left` m from the end, where the load
+    reflects; `forward` are the amplitudes at the start.
+    """
     here = _propagator(waves, ahead) * forward
     rest = _propagator(waves, left)
     return np.asarray((here + rest * (load @ (rest * here)))[:, :, 0])

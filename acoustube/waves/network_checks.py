@@ -100,7 +100,7 @@ def in_band(
         raise ValueError(
             f"{100 * left_out:.2g} % of the energy of {what} lies outside {KHZ * low:.4g} to "
             f"{KHZ * high:.4g} kHz, the band of the presses' scattering, and "
-            f"{100 * OUT_OF_BAND_ENERGY:g} % are allowed; compute it over a wider band"
+            f"{100 * OUT_OF_BAND_ENERGY:g} % are allowed; compute the scattering over a wider band"
         )
     return inside
 
@@ -168,7 +168,7 @@ def check_places(
     for probe in probes:
         if not 0 <= probe <= length or any(start < probe < end for start, end in parts):
             raise ValueError(
-                f"probe = {probe:.4g} m lies outside the tube or within a press; move it"
+                f"probe = {probe:.4g} m lies outside the tube or within a press; move the probe"
             )
 
 

@@ -66,7 +66,8 @@ class PortProblem:
     frequency : ndarray
         In Hz, (n,).
     band : tuple of float
-        Range in Hz over which the losses are fitted; modes cut on below its upper end.
+        Range in Hz over which the losses are fitted. Only the modes that cut on below its upper end
+        are computed.
     odd : bool or None
         Whether the modes are antisymmetric about x = 0; None for all modes at once.
     lossy : bool

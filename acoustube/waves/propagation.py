@@ -262,9 +262,10 @@ def launching_source(wave: Array, setup: Setup, air: Air) -> Array:
     the residue of the axial Green's function gives the amplitude p of the plane wave that
     increments of amplitude g in the middle of the steps launch,
     p/g = sqrt(1 + 4 beta s^2) / (2 nu cos(theta/2) (1 + 8 beta s^2)).
-    With beta = (1 - nu^2)/12 this is (1 + Omega^2/8) / (2 nu) up to fourth order. The factor
-    1 + Omega^2/8 is cancelled by the mean of two neighbouring samples of the wave, whose response
-    is cos(Omega/2). The source layer and its neighbours also have a near field of a few per cent.
+    With beta = (1 - nu^2)/12 this is (1 + Omega^2/8) / (2 nu), with an error of fourth order. The
+    factor 1 + Omega^2/8 is cancelled by the mean of two neighbouring samples of the wave, whose
+    response is cos(Omega/2). The source layer and its neighbours also have a near field of a few
+    per cent.
     """
     courant = air.sound_speed * setup.time_step / setup.cells.spacing[2]
     return courant * (wave[1:] + wave[:-1])

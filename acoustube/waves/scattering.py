@@ -48,7 +48,7 @@ class PlaneWave:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModalScattering:
-    """Scattering of duct modes between two straight ends of one round bore.
+    """Scattering of duct modes between two straight ends of the same section.
 
     Attributes
     ----------
@@ -122,8 +122,8 @@ class PlacedScatterer:
     Attributes
     ----------
     scattering : ModalScattering
-        Scattering of the press or bend. One from a file has both reference planes at the position,
-        which is z = 0 of its surface.
+        Scattering of the press or bend. A press from a file of ``acoustube scatter`` has both
+        reference planes at z = 0 of its surface; this plane is placed at `position`.
     position : float
         Distance from the source end in m.
 

@@ -1,4 +1,4 @@
-"""Scattering matrices of a part from its transfer matrix, and of parts in series.
+"""Scattering matrix of a part of a duct from its transfer matrix, and of parts in series.
 
 References
 ----------
@@ -21,9 +21,9 @@ def star_product(first: Complex, second: Complex) -> Complex:
     Parameters
     ----------
     first, second : ndarray
-        Scattering matrices of the parts at n frequencies, (n, 2 m, 2 m): outgoing waves by incoming
-        waves, the m modes at the start of the part before those at its end. The end of the first
-        part is the start of the second.
+        Scattering matrices of the parts at n frequencies, (n, 2 m, 2 m): a row for each outgoing
+        and a column for each incoming wave, the m modes at the start of the part before those at
+        its end. The end of the first part is the start of the second.
 
     Returns
     -------
@@ -49,8 +49,8 @@ def from_transfer(transfer: Complex, admittance: Complex) -> Complex:
     Parameters
     ----------
     transfer : ndarray
-        Matrix from the coefficients of m pressures and m velocities at the start of the part to
-        those at its end, at n frequencies, (n, 2 m, 2 m).
+        Matrix from the modal pressures and velocities (towards the end) of m modes at the start of
+        the part to those at its end, at n frequencies, (n, 2 m, 2 m).
     admittance : ndarray
         Ratio of velocity to pressure of each mode's forward wave on both sides, (n, m).
 

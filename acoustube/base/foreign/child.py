@@ -33,10 +33,11 @@ PIPE = 1 << 20
 """Size of the pipes' buffers in bytes, where the system lets one choose: arrays then pass as fast
 as memory is copied."""
 KEPT = 1 << 25
-"""Bytes of memory that glibc, if present, keeps after a file. Otherwise the next file would touch
-each page of this memory anew, which takes several times as long as copying it."""
+"""Bytes of freed memory that glibc, if present, does not return to the system after a file is read.
+Otherwise each page of this memory would have to be requested anew for the next file, which takes
+several times as long as copying it."""
 WALL = 10
-"""Elapsed time allowed to a reader over its processor time: a machine may be busy, a disk slow."""
+"""Ratio of a reader's limit of elapsed time to that of processor time; CPU or disk may be busy."""
 NUMERIC = "biufcU"
 """Values of ``dtype.kind`` of the arrays that are accepted from the child."""
 

@@ -32,8 +32,8 @@ NAME = 200
 NESTING = 100
 """Largest depth of nested tables and lists."""
 SECONDS, BYTES_PER_SECOND = 3.0, 2e6
-"""Largest processor time in s of a reader in a child process: SECONDS plus the file's size in bytes
-over BYTES_PER_SECOND, times :func:`factor`."""
+"""Largest processor time of a reader in a child process, for a file of n bytes, in s:
+``factor() * (SECONDS + n / BYTES_PER_SECOND)``."""
 VARIABLE = "ACOUSTUBE_LIMITS"
 RAISE = f"give --limits FACTOR, or set {VARIABLE} = FACTOR, to raise the limits"
 """What to do about a file that exceeds a limit."""

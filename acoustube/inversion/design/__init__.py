@@ -1,8 +1,8 @@
 """Expected accuracy of a sensor before it is built, for choosing tube, transducer and pulse.
 
 Reading order: `echoes` (reflection by the presses of a tube, and the contacts to be estimated),
-`fisher` (information of a contact over frequency), `electronics` (pulse, transducer and converter),
-`prediction` (standard deviations, half-wave errors, reach and resolution for one pulse,
+`fisher` (information of a contact at each frequency), `electronics` (pulse, transducer and
+converter), `prediction` (standard deviations, half-wave errors, reach and resolution for one pulse,
 differentiable) and `pairs` (two presses at once).
 """
 

@@ -1,4 +1,4 @@
-"""Reflection of the plane mode by presses of a tube over depth; the contacts to be estimated."""
+"""Reflection of the plane mode by presses as a function of depth; the contacts to be estimated."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FEWEST = 4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PressedTube:
-    """Reflection and force of one tool on one tube, over depth.
+    """Reflection and force of one tool on one tube, as functions of depth.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class PressedTube:
     diameter : float
         Of the tool in m.
     depth : ndarray
-        Indentation depths in m, over 0 and increasing, (n,).
+        Indentation depths in m, above 0 and increasing, (n,).
     force : ndarray
         In N at the shear modulus with which the presses were computed, (n,).
     frequency : ndarray
@@ -92,12 +92,12 @@ class PressedTube:
 
     @cached_property
     def _spline(self) -> CubicSpline:
-        """Cubic spline of the reflection over depth in m, 0 at depth 0."""
+        """Cubic spline of the reflection as a function of depth in m, 0 at depth 0."""
         return self._over_depth(0.0, self.reflection)
 
     @cached_property
     def _transmission_spline(self) -> CubicSpline:
-        """Cubic spline of the transmission over depth in m, 1 at depth 0."""
+        """Cubic spline of the transmission as a function of depth in m, 1 at depth 0."""
         assert self.transmission is not None
         return self._over_depth(1.0, self.transmission)
 
@@ -107,7 +107,7 @@ class PressedTube:
 
     @cached_property
     def _depth_of(self) -> PchipInterpolator:
-        """Monotone cubic interpolant of the depth in m over the force in N."""
+        """Monotone cubic interpolant of the depth in m as a function of the force in N."""
         return PchipInterpolator(
             np.concatenate([[0.0], self.force]), np.concatenate([[0.0], self.depth])
         )

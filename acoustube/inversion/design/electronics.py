@@ -36,12 +36,13 @@ class Electronics(NamedTuple):
     quality : float
         Quality factor of the transducer.
     level : float
-        Amplitude received from a complete reflection of a steady drive, over the standard deviation
-        of the noise in a sample of the averaged cycles.
+        Amplitude received from a complete reflection of a steady drive, divided by the standard
+        deviation of the noise in a sample of the averaged cycles.
     rate : float
         Samples per second.
     ring : float
-        Received amplitude of the rangefinder's own drive over half of full scale, at least 1.
+        Received amplitude of the rangefinder's own drive divided by half of full scale; if less
+        than 1, it is set to 1.
     ends : float
         Number of rangefinders, 1 or 2.
     bandwidth : float
@@ -159,7 +160,8 @@ def received(frequency, electronics):  # type: ignore[no-untyped-def]
 def weight_of(frequency: Array, electronics: Electronics) -> Array:
     """Return the weight of each frequency in the Fisher information, (n_f,).
 
-    It is the energy of the echo of a complete reflection over the variance of a sample's noise.
+    It is the energy that the echo of a complete reflection has in the interval of each frequency,
+    divided by the variance of a sample's noise.
 
     Parameters
     ----------

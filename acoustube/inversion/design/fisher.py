@@ -33,7 +33,7 @@ FARTHEST, REACHES = 12.0, 48
 
 
 class Information(NamedTuple):
-    """Fisher information of n contacts on a tube over frequency, per received spectral power.
+    """Fisher information of n contacts on a tube at each frequency, per received spectral power.
 
     Columns are the derivatives of the echo by position, depth, temperature, stretch of frequency,
     gain and phase, each times the prior standard deviation of its parameter. A first axis of length
@@ -105,7 +105,7 @@ def information(
     hardness: float = 0.05,
     model: float = 0.0,
 ) -> Information:
-    """Return the Fisher information of contacts on a tube over frequency.
+    """Return the Fisher information of contacts on a tube at each frequency.
 
     Parameters
     ----------
@@ -172,8 +172,8 @@ def information(
 def by_temperature(frequency: Array, radius: float, temperature: float) -> tuple[Complex, float]:
     """Return the derivatives by temperature of wavenumber and logarithm of sound speed.
 
-    They are in 1/(m K), (n_f,), and in 1/K: differences over 1 K or, at an end of the range of
-    :func:`acoustube.air.air_at`, over half of it.
+    They are in 1/(m K), (n_f,), and in 1/K: differences over an interval of 1 K or, at an end of
+    the range of :func:`acoustube.air.air_at`, of 0.5 K.
 
     Parameters
     ----------

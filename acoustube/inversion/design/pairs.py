@@ -95,7 +95,8 @@ def predict_pairs(
     The Fisher information has eight parameters: two positions and depths, temperature, stretch of
     frequency, gain and phase, in units of their prior standard deviations. The second press is
     distinguished where the part of its echo that no change of the six parameters other than its own
-    explains, to first order, exceeds the level of detection.
+    explains, to first order, exceeds the threshold of detection,
+    :data:`acoustube.inversion.design.prediction.DETECTED`.
     """
     check_tools(tubes, contacts)
     if any(tube.transmission is None for tube in tubes):

@@ -79,7 +79,7 @@ class Prediction(NamedTuple):
 
     @property
     def objectives(self) -> Array:
-        """Reach in m, rms relative deviation of force, and resolution in m, (..., 3)."""
+        """Reach in m, rms relative standard deviation of force, and resolution in m, (..., 3)."""
         force = np.sqrt(np.mean(self.force**2, axis=-1))
         return np.stack([self.reach, force, self.resolution], axis=-1)
 
@@ -183,7 +183,7 @@ def _score(numbers, found, goal):  # type: ignore[no-untyped-def]
 
 @jax.jit
 def _scored(logs, given, tensors, goal):  # type: ignore[no-untyped-def]
-    """Return the score and its gradient, by forward differentiation along each logarithm."""
+    """Return the score, and its gradient by `logs`, the logarithms of carrier and cycles."""
 
     def scored(logs):  # type: ignore[no-untyped-def]
         found = Prediction(*_prediction(jnp.concatenate([jnp.exp(logs), given[2:]]), tensors))

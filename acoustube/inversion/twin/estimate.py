@@ -60,7 +60,7 @@ SLACK = 0.01
 LEAST_ECHO = 0.5
 """Least fraction of the energy of a closure's echo that the model must explain."""
 WEAKEST = 4.0
-"""Peak in counts below which rounding determines the level of an echo."""
+"""Least peak in counts of an echo that is used, if it is rounded without dither."""
 DITHERED = 0.4
 """Standard deviation of noise in counts above which rounding is linear on average."""
 OUTLYING, LEAST_OUTLYING = 8.0, 6e-3
@@ -167,7 +167,8 @@ def fit_twin(
     ------
     ConfigError
         If a closure lies beyond the end of the tube, or closures at fewer than two places can be
-        used, with the first reason. Also as :func:`acoustube.inversion.twin.recorded.band_of`.
+        used (the message gives the first reason). Also as
+        :func:`acoustube.inversion.twin.recorded.band_of`.
     """
     _check_places(closed, length)
     band = band_of(closed, untouched.cycles, rate, start)
@@ -203,7 +204,7 @@ def _check_places(closed: Sequence[Group], length: float | None) -> None:
         if length is not None and group.place > length + BEYOND_END:
             raise ConfigError(
                 f"{group.source}: the closure at {CM * group.place:.4g} cm lies beyond the end of "
-                f"the tube, at {CM * length:.4g} cm; correct its label, or state the length"
+                f"the tube, at {CM * length:.4g} cm; correct its label or the stated length"
             )
 
 

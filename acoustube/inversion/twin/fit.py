@@ -26,8 +26,8 @@ from acoustube.waves.scattering import Complex
 SPEED = 343.2
 """Nominal speed of sound in m/s."""
 ITERATIONS, CONVERGED = 40, 1e-6
-"""Largest number of steps. Decrease of the objective in a step below which the fit ends, times
-1e-4 of the objective where that exceeds 1."""
+"""Largest number of steps. Decrease of the objective in a step below which the fit ends, to be
+multiplied by the larger of 1 and 1e-4 times the objective."""
 FIRST_DAMPING, LEAST_DAMPING = 1e-2, 1e-9
 """Initial and least damping of the steps, relative to the diagonal of the matrix to be solved."""
 

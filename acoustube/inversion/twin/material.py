@@ -15,8 +15,8 @@ from acoustube.inversion.tools import Tool
 from acoustube.inversion.twin.background import Measured
 
 PRIOR_MODULUS = 0.5
-"""Prior standard deviation of the logarithm of the wall's modulus over the library's: ten Shore A,
-and as much again because of the scatter of conversions from hardness to modulus."""
+"""Prior standard deviation of the logarithm of the ratio of the wall's modulus to the library's:
+ten Shore A, and as much again because of the scatter of conversions from hardness to modulus."""
 PRIOR_ZERO, PRIOR_COMPLIANCE = 3e-4, 5e-4
 """Prior standard deviations of the zero of the stated depths in m, and of the compliance in m/N of
 what the tube lies on; that of soft tissue is 1e-4 to 5e-4."""
@@ -33,8 +33,8 @@ the depth leaves out."""
 LIBRARY_FORCE = 0.01
 """Relative standard deviation, due to the mesh, that all forces of a library have in common."""
 OUTLYING, LEAST_OUTLYING, FEWEST_OUTLYING = 6.0, 0.1, 5
-"""Residual of the log force above which a press is left out, in standard deviations (estimated from
-the median deviation) and absolute, and least number of presses for this test."""
+"""Residual of the log force, in standard deviations (estimated from the median deviation) and
+absolute, above both of which a press is left out, and least number of presses for this test."""
 SIGNIFICANT = 3.0
 """Ratio of the compliance to its standard deviation above which the ground is reported to yield."""
 
@@ -186,10 +186,10 @@ def _ground(told: Array, sure: Array, stated: Array, load: Array) -> tuple[Measu
 def _stiffness(
     presses: Sequence[Press], depth: Array, sure: Array, force: Array
 ) -> tuple[Measured, Array, dict[int, str]]:
-    """Return the log of the wall's modulus over the library's, its forces, and presses left out.
+    """Return the log ratio of the wall's modulus to the library's, forces, and presses left out.
 
-    Depths and their standard deviations `sure` are in m, stated forces and the library's forces at
-    these depths in N, (n,).
+    The returned forces are the library's at the depths, in N, (n,). Depths and their standard
+    deviations `sure` are in m, the stated forces `force` in N, (n,).
     """
     known, left_out = np.zeros(len(presses), bool), {}
     log_force, slope, expected = np.zeros((3, len(presses)))

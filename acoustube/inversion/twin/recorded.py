@@ -45,9 +45,11 @@ NEAR_RAIL, AT_RAIL, LEAST_CLIPPED = 0.9, 0.98, 8
 """Fractions of the largest deviation from the offset: from the first on, a sample may be clipped,
 and from the second on, it counts as clipped. Least number of clipped samples that show clipping."""
 UNCLIPPED_END = 2e-3
-"""Time in s up to which the largest deviation of an unclipped ring-down is sought."""
+"""Time in s from the start of the drive, up to which the largest deviation of an unclipped
+ring-down is sought."""
 CLEAR_CYCLE = 30.0
-"""Ratio of a cycle's energy to its noise above which its delay and gain are estimated."""
+"""Ratio of the energy of a group's mean cycle to that of the noise of a cycle, above which the
+delays and gains of the cycles are estimated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +124,7 @@ class Band:
     carrier : float
         Carrier frequency in Hz.
     clear : float
-        Time in s at which the ring-down is no longer clipped.
+        Time in s from the start of the drive, at which the ring-down is no longer clipped.
 
     Attributes
     ----------

@@ -35,7 +35,7 @@ BEST, ROUNDS = 3, 2
 """Number of the best maxima from which the fit is started again with bursts of other lengths, and
 number of rounds in which this is done."""
 SHARPER = 30.0
-"""Factor by which the variances are reduced before the best maximum is chosen."""
+"""Factor by which the variances of the noise are reduced before the best maximum is chosen."""
 WRAPS = (-0.5, 0.0, 0.5)
 """Delays of the drive, in periods, with which the fit of echoes and their repetitions starts."""
 SEARCHED, SEARCH_STEP = 0.4e-3, 4e-6
@@ -92,7 +92,7 @@ def _common(model: EchoModel, prior: Prior, shared: Array, delays: Array) -> tup
     """Return the changes of :data:`COMMON` that explain delays (n,) best, and the residual delays.
 
     The delays are in s, and `shared` are the parameters for which they were found. The prior limits
-    the changed parameters. Large residuals, as of wrong labels, count by their magnitude alone.
+    the changed parameters. Large residuals, as of wrong labels, enter the cost linearly.
     """
     away = (prior.mean - shared)[COMMON]
     air = float(model.temperatures.mean()) - ABSOLUTE_ZERO

@@ -26,7 +26,7 @@ from acoustube.runs.sweep import store
 PARTS = 8
 """Number of triangles along each edge of an element's face."""
 SEAM = 1e-7
-"""Distance from a symmetry plane up to which a point counts as in it, over the surface's size."""
+"""Distance from a symmetry plane below which a point is in it, divided by the surface's size."""
 TEXT = """\
 The air space of a pressed tube as closed surfaces, in mm, z along the tube, y up.
 

@@ -39,7 +39,7 @@ def reached(run: xr.Dataset) -> NDArray[np.int64]:
 
 
 def mesh_of(run: xr.Dataset) -> Mesh:
-    """Return the finite-element mesh of a run, without its size-independent coordinates `sweep`.
+    """Return a run's finite-element mesh, whose optional attribute `sweep` is None.
 
     Parameters
     ----------

@@ -76,7 +76,7 @@ def write(mesh: Mesh, depths: Array, displacements: Array, folder: Path) -> Path
 
 
 def in_xml(shape: vtkPointSet) -> str:
-    """Return the content of a VTU or VTP file; VTK does not write it: it fails on a full disk."""
+    """Return the content of a VTU or VTP file as text: VTK's own writer fails on a full disk."""
     of_grid = isinstance(shape, vtkUnstructuredGrid)
     writer = vtkXMLUnstructuredGridWriter() if of_grid else vtkXMLPolyDataWriter()
     writer.SetInputData(shape)

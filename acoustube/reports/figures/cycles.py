@@ -95,7 +95,7 @@ def calibration_figure(calibration: Calibration) -> Figure:
 
 
 def draw_fall(axes: Axes, calibration: Calibration) -> None:
-    """Draw echo amplitudes of the closed tube by distance, their arctan fit and the gain's tanh."""
+    """Draw echo amplitudes of closures by distance, their arctan fit, and the time gain's tanh."""
     places = calibration.true_distance
     along = np.linspace(0, 1.1 * places.max(), 300)
     axes.plot(CM * places, calibration.amplitude, ".", color=SIGNAL, label="closures")

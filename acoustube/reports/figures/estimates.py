@@ -59,7 +59,10 @@ def draw_estimates(axes: Axes, table: xr.Dataset, estimates: xr.Dataset, target:
 def draw_errors(
     axes: Axes, table: xr.Dataset, estimates: xr.Dataset, target: str, label: str
 ) -> None:
-    """Draw median and quartiles of absolute errors, and the stated standard deviation, by label."""
+    """Draw absolute errors of a target as a function of a label: median and quartiles in bins.
+
+    The median of the standard deviations that the estimator states is drawn too.
+    """
     truth, estimate, deviation = _scaled(table, estimates, target)
     edges, index = bins(table[label].values, BINS[label])
     error = np.where(np.isfinite(truth - estimate), np.abs(truth - estimate), np.nan)

@@ -201,7 +201,10 @@ def _state(
 
 
 def _untouched(settings: SISettings) -> tuple[Shape, Along, float]:
-    """Return an untouched tube's shape and cross-section, and the indenter's height on it in m."""
+    """Return shape and cross-section of an untouched tube, and the height of an indenter on it.
+
+    The height is the coordinate y in m of the indenter's lowest point.
+    """
     bore, wall = settings.tube.inner_diameter, settings.tube.wall_thickness
     shape = round_tube(bore, wall, UNTOUCHED_REACH)
     z = np.array([-UNTOUCHED_REACH, UNTOUCHED_REACH])

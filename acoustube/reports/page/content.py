@@ -79,7 +79,7 @@ class Spectrum:
     Attributes
     ----------
     frequency, reflection : array of shape (n,)
-        Frequency in Hz; amplitude of the reflected plane wave over that of the incident one.
+        Frequency in Hz; magnitude of the plane wave's reflection coefficient.
     settled : array of bool, shape (n,)
         True where the coefficient is reliable: the signal had decayed or, with the spectral method,
         the estimated error is within its tolerance.

@@ -40,7 +40,7 @@ PLACES = 201
 
 
 def folder_of(where: str | Path) -> Path:
-    """Return the folder of a result, given the folder itself or the file `RUN` in it."""
+    """Return the folder of a result, given the folder itself or ``run.nc`` in it."""
     return Path(where).parent if Path(where).name == RUN else Path(where)
 
 
@@ -51,7 +51,7 @@ def reading_run(folder: Path) -> Iterator[xr.Dataset]:
     Parameters
     ----------
     folder : Path
-        A folder that contains `RUN`.
+        A folder that contains ``run.nc``.
 
     Yields
     ------

@@ -140,7 +140,7 @@ def cycles_of(
     place : float
         Distance of the press in m.
     bends : sequence of PlacedScatterer
-        From :func:`bent_around`; none for a straight tube.
+        From :func:`bent_around`; empty for a straight tube.
     tube : int
         Index of the tube of the sleeve.
     n_cycles : int
@@ -197,7 +197,12 @@ def over_skin(helix: Helix, there: ArrayLike, here: ArrayLike) -> Array:
 
 
 def _half_chord(turn: Array, sine: float) -> Array:
-    """Return sin(turn sine / 2) / sine, also for a cylinder, whose sine is zero."""
+    """Return half the chord between two points of an unrolled cone, divided by their radius.
+
+    The radius is that about the cone's axis. The result is sin(turn sine / 2) / sine, given the
+    angle `turn` about the axis in rad and the sine of the cone's half angle; turn / 2 for a
+    cylinder, whose sine is zero.
+    """
     return np.asarray(turn / 2 * np.sinc(turn * sine / 2 / np.pi))
 
 

@@ -41,7 +41,7 @@ REFERENCE_BORE = 8.0
 """Bore in mm whose published reach gives the dynamic range for all bores."""
 CARRIER, TEMPERATURE = 42e3, 20.0
 LOCATED_ERROR = 0.02
-"""Error in m up to which a closure counts as located."""
+"""Error of the distance in m below which a closure counts as located."""
 DISTANCES = np.arange(0.05, 0.60, 0.01)
 SEARCH_START = 0.10
 """Least distance in m at which a closure is searched for; nearer, the send pulse would be found."""
@@ -114,7 +114,7 @@ def reach(bore_mm: float, dynamic: float, *, coupled: bool) -> float:
 
 
 def dead_zone(bore_mm: float) -> float:
-    """Return the distance in m from which closures of the tube are located to within 2 cm, or inf.
+    """Return the distance in m from which on closures are located to within 2 cm; inf if none is.
 
     The rangefinder is the default one without noise and clutter. The constant shift of distances
     is removed, as by a calibration.
@@ -172,7 +172,10 @@ def _shift() -> float:
 
 
 def both(ranging: signals.Ranging, places: Sequence[float]) -> list[float]:
-    """Return the distance error in m of the highest peak within 10 cm of each press, or nan."""
+    """Return the distance error in m of the highest peak within 10 cm of each press.
+
+    It is nan for a press without such a peak.
+    """
     delay = ranging.echoes.times - ranging.send_time
     distance = np.asarray(signals.distance(delay, TEMPERATURE))
     found = []

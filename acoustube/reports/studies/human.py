@@ -33,7 +33,8 @@ from acoustube.runs.config import Config, configured
 from acoustube.waves.scattering import ModalScattering
 
 STATES = np.array([1, 3, 5]) / 6
-"""Forces of one press, since a hand's force drifts, as fractions of the range of its level."""
+"""Forces in the course of one press, as fractions of the range of its level of force: the force of
+a hand drifts."""
 CYCLES = (14, 13, 13)
 """Number of cycles at each force of `STATES`: 2 s in all."""
 SHIFT = -0.10

@@ -141,7 +141,7 @@ def compared_figures(
     forces: tuple[ArrayLike, ArrayLike] | None = None,
     pressed: xr.Dataset | None = None,
 ) -> dict[str, Figure]:
-    """Return the figure of the errors by inversion and by the highest peak, by its caption.
+    """Return a figure that compares errors of inversion and of the highest peak, by its caption.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def compared_figures(
     forces : (array_like, array_like), optional
         True forces in N, and the force network's estimates in N.
     pressed : xarray.Dataset, optional
-        Inversion that gives the forces, if it is not `inversion`.
+        Result of an inversion whose forces are drawn in place of those of `inversion`.
     """
     if inversion is None:
         return {}

@@ -300,7 +300,10 @@ def _places(table: xr.Dataset, helix: Helix) -> Figure:
 
 
 def _histogram(axes: Axes, table: xr.Dataset, errors: dict[str, Array]) -> None:
-    """Draw histograms of the mean errors of presses, given errors of cycles in m by label."""
+    """Draw histograms of the mean absolute errors of presses.
+
+    `errors` are the absolute errors of the cycles in m, by their name in the legend.
+    """
     edges = np.arange(0, 41, 2.0)
     means = [
         [CM * np.mean(e[p & np.isfinite(e)]) for p in _presses(table) if np.isfinite(e[p]).any()]

@@ -19,9 +19,9 @@ FALSE_POSITIVE_ERROR = 0.25
 FIRST_DATASET_DEPTH = 0.9e-3
 """Depth in m that all presses of the flat table's first dataset exceed."""
 DEEP = 6.5e-3
-"""Depth in m from which the sleeve paper states the errors of deep presses separately."""
+"""Depth in m above which a press is deep: the sleeve paper states its errors separately."""
 RELIABLE_FRACTION = 0.5
-"""Fraction of cycles with an error below 25 cm above which a contact counts as reliable."""
+"""A contact is reliable if more than this fraction of its cycles has an error below 25 cm."""
 
 
 def distance_errors(table: xr.Dataset) -> Errors:
@@ -99,7 +99,7 @@ def measure_rows(
     published : sequence of float or None
         Published median, RMSE and IQR in the unit of the report.
     coarser, inversion : Errors, optional
-        Statistics of the errors on the coarser level, and by waveform inversion.
+        Statistics of the errors with a coarser mesh and grid, and by waveform inversion.
     """
     return [
         Row(

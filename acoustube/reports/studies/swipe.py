@@ -52,7 +52,8 @@ class Track(NamedTuple):
     true : array of shape (cycle, contact)
         True distances in m.
     candidates : list of array
-        Distances in m of the echoes of each cycle from :data:`CANDIDATE_RATIO` of the highest on.
+        Distances in m of the echoes of each cycle whose amplitude is at least
+        :data:`CANDIDATE_RATIO` times the highest.
     contacts : list
         Confirmed contacts of each cycle; see :class:`acoustube.sleeve.ContactTracker`.
     seconds : array of shape (cycle,)

@@ -21,7 +21,7 @@ CELLS_PER_WAVELENGTH = 8
 """Smallest allowed number of grid cells per wavelength of the sound."""
 
 BAND_WIDTH = 3.83
-"""Half width of a pulse's band at -70 dB, times its number of cycles, over the carrier."""
+"""Half width of a pulse's band at -70 dB divided by the carrier, times the number of cycles."""
 MOST_CELLS = 50_000_000
 """Largest number of cells of the acoustic grid; these take some 15 GB of memory."""
 
@@ -98,9 +98,11 @@ def check_offset(tube: TubeSettings, press: IndentationSettings) -> None:
     Notes
     -----
     In section the indenter is flat up to ``flat`` from its axis, then rounded with the radius
-    ``edge``. At first contact the centre of this rounding is ``outer + edge`` from the tube's axis.
-    On the way down it is nearest to this axis at the same height if ``edge < outer``, otherwise
-    with the indenter level with the tube's bottom. If it is no nearer there, the indenter misses.
+    ``edge``; ``outer`` is the tube's outer radius. At first contact the distance from the centre of
+    the rounding to the tube's axis is ``outer + edge``. On the way down this distance is least with
+    centre and axis at one height if ``edge < outer``, otherwise with the indenter's lowest point
+    level with the tube's bottom. If the least distance is ``outer + edge`` or more, the indenter
+    misses.
     """
     if press.offset_mm == 0 or press.depth_mm == 0:
         return
@@ -300,7 +302,7 @@ def _highest_khz(waves: WaveSettings) -> float:
 
 
 def _record_ms(tube: TubeSettings, waves: WaveSettings) -> float:
-    """Return the time in ms in which sound travels to the far end and back (mm over m/s)."""
+    """Return the time in ms in which sound travels to the far end and back (mm divided by m/s)."""
     return 2 * MM_PER_CM * tube.length_cm / sound_speed(waves.temperature_c)
 
 

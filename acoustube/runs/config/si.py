@@ -44,6 +44,7 @@ class SIPress:
     layer : Layer or None
         Elastic layer under the tube; None for a rigid floor.
     support : {"held", "free"}
+        The tube's bottom line is held on the floor, or rests on it with free ends.
     mesh : MeshSize
         Finite elements of a round tube.
     depth : float
@@ -120,7 +121,7 @@ class SISettings(SIPress):
 def to_si(value: float | None, unit: str) -> float | None:
     """Return a value in SI units, given its unit; None stays None.
 
-    Units that are not in :data:`FACTORS` are kept.
+    A value in a unit that is not in :data:`FACTORS` is returned unchanged.
     """
     return None if value is None else FACTORS.get(unit, 1) * value
 

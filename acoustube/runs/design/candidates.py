@@ -33,7 +33,8 @@ class Candidate:
     found : Prediction
         Predicted errors.
     score : float
-        Logarithm of the error of force, with penalties for unmet requirements of the goal.
+        Logarithm of the relative rms error of force, with penalties for missed requirements of the
+        goal; lower is better.
     """
 
     tube: TubeSpec
@@ -44,7 +45,10 @@ class Candidate:
 
     @property
     def objectives(self) -> Array:
-        """Reach, relative rms error of force, resolution, median error of position; in SI, (4,)."""
+        """Reach, relative rms error of force, resolution, median error of position; in SI, (4,).
+
+        The resolution is the least distance of two presses at which their echoes are separate.
+        """
         return np.append(self.found.objectives, np.median(self.found.place))
 
     def shortfalls(self, design: DesignGoal) -> list[str]:

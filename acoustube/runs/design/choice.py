@@ -36,7 +36,7 @@ CHANGES = {"bore": 0.05, "hardness": 5.0, "temperature": 10.0}
 
 
 class Map(NamedTuple):
-    """Expected errors of a sensor by position and force, for the goal's first tool.
+    """Expected errors of a sensor by position and force, for the goal's first indenter.
 
     Attributes
     ----------
@@ -76,7 +76,8 @@ class Recommended(NamedTuple):
         Objectives, (4,), after a change of bore, hardness or temperature, by the change in words;
         see :func:`robustness_of`. Empty if not computed.
     ranges : dict of str to (float, float)
-        Tolerated range of each part; see :func:`acoustube.runs.design.parts.ranges_of`.
+        Tolerated range of each property of the parts; see
+        :func:`acoustube.runs.design.parts.ranges_of`.
     pairs : Pairs or None
         Errors for two presses at once; see :func:`acoustube.runs.design.parts.pairs_of`.
     """
@@ -96,7 +97,7 @@ def recommended(design: DesignGoal, front: Sequence[Candidate]) -> list[tuple[st
 
     Each is a tuple of name, reason and sensor. It is the best of the candidates that meet the
     goal's other requirements and whose error of force is at most :data:`WORSE` times the least.
-    Without such candidates it is the best of those that come closest to them. No sensor is
+    Without such candidates it is the best of those that come closest to these limits. No sensor is
     recommended twice, so that a short front gives fewer than three.
     """
     goal, least = design.goal, min(one.objectives[1] for one in front)
@@ -129,7 +130,7 @@ def recommended(design: DesignGoal, front: Sequence[Candidate]) -> list[tuple[st
 def paper_sensor(design: DesignGoal, tubes: Sequence[PressedTube]) -> Candidate:
     """Return the sleeve paper's sensor with its predicted errors for a goal.
 
-    `tubes` are the presses of :data:`PAPER` by each tool.
+    `tubes` are the presses of the tube :data:`PAPER` by each indenter of the goal.
     """
     usual = Rangefinder()
     assert isinstance(usual.drive, Burst)
@@ -140,7 +141,7 @@ def paper_sensor(design: DesignGoal, tubes: Sequence[PressedTube]) -> Candidate:
 
 
 def error_map(design: DesignGoal, tubes: Sequence[PressedTube], candidate: Candidate) -> Map:
-    """Return the expected errors of a sensor by position and force, for the goal's first tool."""
+    """Return a sensor's expected errors by position and force, for the goal's first indenter."""
     goal = design.goal
     place = np.linspace(goal.nearest_m, goal.reach_m, MAP_PLACES)
     force = np.geomspace(*goal.forces_n, MAP_FORCES)
@@ -189,7 +190,7 @@ def limits_of(design: DesignGoal, candidate: Candidate) -> dict[str, float]:
 def robustness_of(
     design: DesignGoal, candidate: Candidate, tubes: Sequence[PressedTube], compute: Compute
 ) -> dict[str, Array]:
-    """Return objectives of a sensor after changes of bore, hardness or air, each time recalibrated.
+    """Return a sensor's objectives, recalibrated after a change of bore, hardness or temperature.
 
     The result has :attr:`acoustube.runs.design.candidates.Candidate.objectives` by the change in
     words. A change to a tube that cannot be computed is left out.
@@ -199,7 +200,7 @@ def robustness_of(
     design : DesignGoal
     candidate : Candidate
     tubes : sequence of PressedTube
-        Presses of the candidate's tube by each tool.
+        Presses of the candidate's tube by each indenter of the goal.
     compute : callable
         Computes tubes of another bore and, on a soft layer, of another hardness.
     """

@@ -1,4 +1,4 @@
-"""Tolerances of a recommended sensor's parts, and its errors for two presses at once."""
+"""Tolerances of a recommended sensor's parameters, and its errors for two presses at once."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from acoustube.runs.design.candidates import Candidate, choice_of, suits
 from acoustube.runs.design.search import contacts_of, known_of, modulus_of
 
 WORSE = 1.1
-"""Largest factor by which the penalised error of force may grow within a part's range."""
+"""Largest factor by which the rms error of force may grow within a parameter's range, penalties for
+missed goals included."""
 FACTORS = np.geomspace(0.5, 2.0, 141)
-"""Factors by which the value of a part is multiplied in turn."""
+"""Factors by which each parameter is multiplied, one parameter at a time."""
 HARDNESSES = np.arange(-15.0, 15.1, 1.0)
 """Changes of the wall's hardness in Shore A that are tried."""
 
@@ -26,7 +27,10 @@ HARDNESSES = np.arange(-15.0, 15.1, 1.0)
 def ranges_of(
     design: DesignGoal, tubes: Sequence[PressedTube], candidate: Candidate
 ) -> dict[str, tuple[float, float]]:
-    """Return the range of each part, varied alone, in which the error grows by a tenth at most.
+    """Return the tolerated range of each parameter of a sensor, varied alone.
+
+    Within this range, the exponential of :func:`acoustube.inversion.design.prediction.score`, the
+    rms error of force with penalties for missed goals, grows by the factor :data:`WORSE` at most.
 
     Parameters
     ----------
@@ -38,11 +42,12 @@ def ranges_of(
     Returns
     -------
     dict of str to (float, float)
-        Lowest and highest value by the name of the part with its unit. The carrier is varied for
-        drive and transducer alike. A range ends where the drive does not suit the sampling rate, or
-        a chirp is too short for its bandwidth (:func:`acoustube.runs.design.candidates.suits`). The
-        noise is relative to that of the sensor. The hardness is varied on a table only, where it
-        needs no further press. Each varied sensor has its own calibration and library.
+        Lowest and highest value by the name of the parameter with its unit. The carrier is varied
+        for drive and transducer alike. A range ends where the drive does not suit the sampling
+        rate, or a chirp is too short for its bandwidth
+        (:func:`acoustube.runs.design.candidates.suits`). The noise is relative to that of the
+        sensor. The hardness is varied on a table only, where it needs no further press. Each varied
+        sensor has its own calibration and library.
     """
     shore, average = candidate.tube.shore, design.goal.average
     known = on_device(known_of(design, tubes, shore))

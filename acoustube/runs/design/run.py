@@ -56,13 +56,13 @@ class Designed(NamedTuple):
     design : DesignGoal
     seed : int
     front : list of Candidate
-        Pareto front in reach, force, resolution and position.
+        Pareto front in reach, resolution, and the errors of force and position.
     sensors : list of Recommended
         The recommended sensors, and last the sleeve paper's if it can be computed.
     tubes : int
-        Number of tubes that were computed.
+        Number of tubes with a candidate.
     failed : dict of TubeSpec to str
-        Tubes that could not be computed, with the reasons.
+        Tubes that could not be computed or that no drive suits, with the reasons.
     """
 
     design: DesignGoal
@@ -196,7 +196,7 @@ def _searched(
 
 
 def _pressed_as(design: DesignGoal, spec: TubeSpec) -> TubeSpec:
-    """Return the tube whose presses serve for `spec`: on a table one of the reference hardness."""
+    """Return the tube to press for `spec`: itself, or on a table with the reference hardness."""
     return spec._replace(shore=REFERENCE_SHORE_A) if design.goal.support == "table" else spec
 
 

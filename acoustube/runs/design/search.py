@@ -107,9 +107,9 @@ class Search:
     best : dict of TubeSpec to Candidate
         Best candidate of each tube.
     kept : list of Candidate
-        Pareto front in reach, force, resolution and position.
+        Pareto front in reach, resolution, and the errors of force and position.
     failed : dict of TubeSpec to str
-        Tubes that cannot be computed, and why.
+        Tubes that cannot be computed or that no drive suits, and why.
     tubes : dict of TubeSpec to list of PressedTube
         Tubes that were computed, with their presses by each tool.
     """
@@ -129,7 +129,7 @@ class Search:
         Returns
         -------
         Candidate or None
-            Candidate with the lowest score; None if no tube could be computed.
+            Candidate with the lowest score; None if no tube has a candidate.
         """
         self._try(self._first())
         step = WIDEST
@@ -180,7 +180,10 @@ class Search:
         return list(fitting)[: max(self.most // 3, 1)]
 
     def _around(self, centre: TubeSpec, step: int) -> Iterator[TubeSpec]:
-        """Yield the tubes that differ by `step` on one axis of the lattice, and fit."""
+        """Yield the tubes that differ from `centre` by `step` on one axis of the lattice.
+
+        Tubes that are too thick, or would kink at the goal's radius of bending, are left out.
+        """
         for name, values in self.axes().items():
             here = int(np.argmin(np.abs(values - getattr(centre, name))))
             for there in (here - step, here + step):
@@ -296,7 +299,10 @@ def evaluated(design: DesignGoal, known: Information, candidate: Candidate) -> C
 
 
 def front_of(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return the Pareto front in reach, force, resolution and position, the longest reach first."""
+    """Return the Pareto front in reach, resolution, and the errors of force and position.
+
+    The candidate with the longest reach comes first.
+    """
     values = np.round(np.array([one.objectives for one in candidates]) * (-1, 1, 1, 1), 5)
     kept: list[int] = []
     # Sorted by the first objective: only earlier candidates can dominate a later one.

@@ -32,11 +32,13 @@ SHALLOWEST, DEEPEST, DEPTHS = 0.1, 0.94, 14
 ROWS = 16
 """Number of depths of a press, between which its shapes are interpolated."""
 INTO_LAYER = 0.4
-"""Additional depth on a soft layer, as a fraction of its thickness."""
+"""Increase of the largest depth on a soft layer, as a fraction of the layer's thickness."""
 MARGIN = 0.85, 1.15
-"""Lowest computed frequency over the lowest carrier, and highest over the highest carrier."""
+"""Lowest computed frequency relative to the lowest carrier, and highest computed frequency relative
+to the highest carrier."""
 CHIRP_MARGIN = 0.61
-"""Half width of the computed band of a chirp over its bandwidth; a little above the inversion's."""
+"""Half width of the band computed for a chirp, relative to the chirp's bandwidth; a little larger
+than that of the band in the inversion."""
 
 
 class TubeSpec(NamedTuple):
@@ -180,7 +182,11 @@ def tasks_of(
     board: Board,
     found: dict[TubeSpec, list[PressedTube] | str],
 ) -> list[Task]:
-    """Return tasks that compute tubes, and add these or the reasons of failure to `found`."""
+    """Return tasks that compute tubes, each under one tool.
+
+    The callbacks of the tasks add the presses of each tube, or the reason of its failure, to
+    `found`.
+    """
     tools = design.goal.tools_mm
     parts: dict[TubeSpec, dict[float, Sounded]] = {spec: {} for spec in specs}
 

@@ -163,8 +163,8 @@ class Refinement:
         """Return the expected error of interpolation between each depth and the next, (n - 1,).
 
         It is estimated by leave-one-out cross-validation; inf if there are too few depths. The
-        error at a depth that is left out is taken as proportional to the product of the squared
-        distances to its neighbours, that in an interval to the fourth power of its length.
+        error at a depth left out is taken as proportional to the product of the squared distances
+        to its neighbours, the error in an interval to the fourth power of the interval's length.
         """
         depths = np.array(self.depths)
         known = np.array([self.known[d].s[:, :, :1, :, :1] for d in self.depths])

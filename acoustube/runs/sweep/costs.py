@@ -23,7 +23,7 @@ CASE_BYTES, MATRIX_BYTES = 6.0, 370e3
 RINGING = 12e-3
 """Simulated time in s of each run for a scattering matrix."""
 COURANT_NUMBER = 0.45
-"""Time step of FDTD times the speed of sound, over the cell size."""
+"""Time step of FDTD multiplied by the speed of sound and divided by the cell size."""
 SOUND_SPEED = 343.0
 """Speed of sound in m/s, for estimates."""
 SAMPLING_RATE = 1e6

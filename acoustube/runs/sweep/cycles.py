@@ -280,7 +280,8 @@ def _with_modulus(cycles: xr.Dataset, settings: SISettings, modulus: float | Non
     if settings.layer is not None:
         raise ValueError(
             "on an elastic layer the force is not proportional to the twin's modulus of the wall; "
-            "sweep with the twin's hardness, and take young_modulus_mpa out of `determined` there"
+            "sweep with the twin's hardness, and remove young_modulus_mpa from `determined` in the "
+            "twin's file"
         )
     factor = modulus / settings.tube.young_modulus
     scaled = {

@@ -2,7 +2,7 @@
 
 One load path contains all depths of a tube under an indenter. At each depth, one scattering matrix
 serves all lengths of the tube, positions of the press, pulses in its band, and air temperatures
-within 18 K. Only the recording and its processing are computed for each case.
+within 18 K of its own. Only the recording and its processing are computed for each case.
 """
 
 from __future__ import annotations

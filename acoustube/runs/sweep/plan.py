@@ -164,8 +164,8 @@ def _check_axis(name: str, values: Values | Interval, *, random: bool) -> None:
     if isinstance(values, Interval):
         if not random:
             raise ConfigError(
-                f"{name} = {values} is a range without a step; give {values}:STEP, or in a sweep "
-                "count (--random), the number of random cases"
+                f"{name} = {values} is a range without a step; give {values}:STEP or, in a sweep, "
+                "the number of random cases, count (--random)"
             )
         if not -math.inf < values.low < values.high < math.inf:
             raise ConfigError(f"{name} = {values} must have low < high")

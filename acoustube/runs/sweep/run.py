@@ -191,7 +191,7 @@ class Scale(NamedTuple):
     Attributes
     ----------
     cases : float
-        Number of cases of the plan over that of the sample.
+        Number of cases of the plan divided by that of the sample.
     n_paths, n_matrices : int
         Numbers of load paths and of scattering matrices of the plan.
     """

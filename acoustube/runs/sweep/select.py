@@ -17,9 +17,10 @@ from acoustube.waves import Recording
 
 
 def chosen(cases: xr.Dataset) -> xr.Dataset:
-    """Return the cases at the source end of their settings, with ``amplitude`` and ``error``.
+    """Return each case for the source end that its settings select.
 
-    The error is that of the estimated distance in m, nan for an untouched tube.
+    ``amplitude`` and ``error`` are added: the highest echo relative to the send pulse, and the
+    estimated less the true distance in m, nan for an untouched tube.
     """
     ends = xr.DataArray(cases["chosen_source_end"].values, dims="press")
     there = cases.sel(source_end=ends)

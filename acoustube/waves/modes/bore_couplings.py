@@ -26,7 +26,8 @@ class BoreModes:
     x, across, twist : ndarray
         Matrices X, Y and M of the equations in :mod:`acoustube.waves.bends`, (n, n).
     flattening : ndarray
-        Derivatives of the squared cut-on wavenumbers by the ovality (`bends.Bent`), (n,).
+        Derivatives of the squared cut-on wavenumbers of the bore of radius 1 with respect to the
+        ovality (`bends.Bent`), (n,).
     """
 
     names: tuple[str, ...]
@@ -82,8 +83,8 @@ def _flattened(m: int, n: int, side: str) -> float:
     The bore's radius R is 1. Hadamard's formula for a rigid wall moved outwards by w is d(k^2) =
     -integral of w (k^2 psi^2 - (grad psi)^2) over the wall, for psi of unit norm. With w = -zeta R
     cos 2 phi and psi ~ J_1 cos phi it gives d(k^2) / k^2 = zeta (1 + 1/j'^2) / (1 - 1/j'^2), and
-    the negative for sin phi. The cut-ons of other modes than (1, n) shift by the ovality squared
-    only.
+    the negative for sin phi. The cut-ons of other modes than (1, n) shift only to second order in
+    the ovality.
     """
     if m != 1:
         return 0.0

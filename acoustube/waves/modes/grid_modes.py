@@ -59,8 +59,8 @@ class DuctModes:
         Whether each mode is antisymmetric about x = 0, (n_modes,).
     losses : dict of ndarray
         Loss coefficients of the modes by name, (n_modes,): with the symbols of the module's
-        docstring, ``compliance`` is kappa, ``across`` is d k^2 / dt^2 and ``along`` is
-        d_z (c / dz)^2. Empty without losses.
+        docstring, ``compliance`` is kappa, ``across`` is the product d (k / dt)^2 and ``along`` is
+        the product d_z (c / dz)^2. Empty without losses.
     """
 
     squares: Array
@@ -255,9 +255,9 @@ class Phases:
 
 
 def _second_difference(square: Complex, beta: float) -> Complex:
-    """Return X = 4 sin^2(theta / 2), minus the symbol of the second difference along z.
+    """Return X = 4 sin^2(theta / 2); -X is the symbol of the second difference along z.
 
-    It is the root of X (1 + beta X) = `square` that tends to `square` as beta tends to 0; see the
+    X is the root of X (1 + beta X) = `square` that tends to `square` as beta tends to 0; see the
     dispersion relation in the module's text.
     """
     return np.asarray(2 * square / (1 + np.sqrt(1 + 4 * beta * square + 0j)))

@@ -174,7 +174,7 @@ def launching(setup: Setup, wave: Array, mode: str, air: Air) -> tuple[Setup, Ar
 
     Notes
     -----
-    The response to a unit source in a layer is exp(-j theta n) / (j slope), n layers away in either
+    The response to a unit source in a layer is exp(-j theta m) / (j slope), m layers away in either
     direction, with theta and slope of `grid_modes.Phases`. The increments are the wave divided by
     this response at each frequency; at the cut-on, where the slope vanishes, they vanish too. The
     source layer and its neighbours also have a near field of a few per cent.

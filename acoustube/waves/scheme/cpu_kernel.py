@@ -90,7 +90,7 @@ def _flow_across(q, operator, x, y, k):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _flow_along(velocities, areas, beta):  # type: ignore[no-untyped-def]
-    """Return the divergence of area times u over a cell's axial faces, with the correction beta."""
+    """Return the divergence of area times `velocities` over axial faces, with correction `beta`."""
     before, below, above, behind = velocities
     a, b, c, d = areas
     low, here, high = (

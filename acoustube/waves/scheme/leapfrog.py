@@ -291,7 +291,7 @@ def _replace_ends(first: jax.Array | None, middle: jax.Array, end: jax.Array | N
 def _absorber_step(
     layer: Absorber | None, first: int, around: jax.Array, scheme: Scheme
 ) -> tuple[Absorber | None, jax.Array | None]:
-    """Return an absorber after a step and its cells' pressure change; None for both without one."""
+    """Return an absorber after a step and its pressure change; both are None without absorber."""
     if layer is None:
         return None, None
     near, local = _window(around, scheme.operator, first, layer.transverse.shape[2])

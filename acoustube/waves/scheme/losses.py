@@ -22,10 +22,10 @@ a passive model of the fractional derivative [3]_. The scheme advances each by t
 The dissipation is then positive at every frequency, on any grid: for s = j omega the real part of
 s y / p is positive. At zero frequency the scheme is stable as long as S sqrt(nu) times the value of
 the sum of relaxations at s = 0 is less than one; without a bound on S the viscous boundary
-condition is ill-posed in the time domain [4]_. In a gap of a few boundary layers S is about two
-over the height of the gap, and S sqrt(nu) may exceed this bound: the static stiffness would be
+condition is ill-posed in the time domain [4]_. In a gap of a few boundary layers S is about 2 / h
+with the height h of the gap, and S sqrt(nu) may exceed this bound: the static stiffness would be
 negative, and pressures of alternating sign would grow. Therefore S sqrt(nu) is limited to
-`LARGEST_DRAG` over the value of the sum. Each face's term, with weights w and rates r,
+`LARGEST_DRAG` divided by that value. Each face's term, with weights w and rates r,
 
     1 - S sqrt(nu) sum w / (s + r) = 1 - S sqrt(nu) sum w / r + S sqrt(nu) sum (w / r) s / (s + r),
 
@@ -225,7 +225,7 @@ def _scalars(values: Array, dtype: DTypeLike) -> tuple[jax.Array, ...]:
 
 
 def _spread(most: float, air: Air) -> float:
-    """Return the standard deviation in m of the wetted area's spread, for a limit of the drag."""
+    """Return the standard deviation in m of the wetted area's spread, for a limit of S sqrt(nu)."""
     needed = sqrt(2 / pi * air.viscous_diffusivity) / (FLAT_WALL_DRAG * most)
     return min(max(WALL_SPREAD, needed), LARGEST_SPREAD)
 
@@ -385,7 +385,7 @@ def bulk_absorption(losses: Losses, memory: RelaxationState, change: jax.Array) 
 
 
 def _expected(losses: Losses, memory: RelaxationState, pressure: jax.Array) -> jax.Array:
-    """Return the half-integral's increment in a step, without that due to the step's change."""
+    """Return the half-integral's increment in a step if the pressure did not change in it."""
     relaxing = (
         weight * (decay - 1) * one
         for weight, decay, one in zip(losses.wall, losses.decay, memory.relaxed, strict=True)

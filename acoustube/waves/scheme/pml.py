@@ -52,7 +52,7 @@ is R^(kz / k), and therefore larger near its cut-on."""
 LARGEST_KAPPA = 4.0
 """Stretch kappa at the back of the layer, which shortens evanescent modes."""
 LARGEST_ALPHA = 2.0 * pi * 2e3
-"""Frequency shift alpha at the front of the layer in rad/s, well below that of the carrier."""
+"""Frequency shift alpha at the front in rad/s, well below the carrier's angular frequency."""
 
 
 class Stretch(NamedTuple):

@@ -170,7 +170,7 @@ def prepare(
     whole = share_small_volumes(exact)
     for probe, node in zip(probes, nodes, strict=True):
         if not whole.volume_fraction[:, :, ahead + node].any():
-            raise ConfigError(f"the lumen is closed at probe = {probe:g} m; move it")
+            raise ConfigError(f"the lumen is closed at probe = {probe:g} m; move the probe")
     step = marching_step(whole, air) if time_step is None else time_step
     across, dz = whole.shape[:2], cells.spacing[2]
     ends = [

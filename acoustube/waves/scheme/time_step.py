@@ -46,8 +46,8 @@ def stable_step(cells: CutCells, air: Air) -> float:
     Returns
     -------
     float
-        0.98 of the stability limit in s; that of `propagate` may differ from it by 0.1 %, because
-        the absorbers lengthen the grid.
+        0.98 of the stability limit in s. The step that `propagate` takes by default may differ from
+        this value by 0.1 %, because the absorbers lengthen the grid.
 
     Raises
     ------
@@ -157,8 +157,9 @@ def _lanczos(
 
 
 def _gershgorin(operator: Operator) -> float:
-    """Return Gershgorin's bound of the eigenvalues: twice the sum of open faces over the volume.
+    """Return Gershgorin's bound of the eigenvalues.
 
+    It is the largest value in any cell of twice the sum of its open faces, divided by its volume.
     The axial correction beta D2' N D2 (see `operator`) is at most 4 beta A, because N never exceeds
     A.
     """

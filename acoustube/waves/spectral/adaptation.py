@@ -132,10 +132,10 @@ def _probes(shifts: Array) -> Array:
 def truncation_ratio(
     system: Discretisation, responses: dict[float, list[Response]], k: Array
 ) -> Array:
-    """Return the ratio of the truncation error of S to the change of S by its corrections, (n,).
+    """Return the ratio of the truncation error of S to the change of S by the corrections, (n,).
 
-    The corrections are `by_degree` and `by_element` of :class:`Response`. The ratio is interpolated
-    over k^2 between the responses.
+    The corrections of the impedance are `by_degree` and `by_element` of :class:`Response`. The
+    ratio is interpolated over k^2 between the responses.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def _largest_changes(
     responses: dict[float, list[Response]],
     corrections: dict[float, list[Array]],
 ) -> Array:
-    """Return the largest changes of S, (n,), by n corrections of the impedance at each shift."""
+    """Return the largest change of S over all shifts by each of n impedance corrections, (n,)."""
     found = []
     zeros = np.tile(system.modes.zeros, len(system.ports))
     for shift, sides in responses.items():

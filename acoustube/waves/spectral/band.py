@@ -31,7 +31,7 @@ losses. Few suffice, because most of that space is in the span of the other shif
 MAX_ROUNDS = 6
 """Largest number of rounds in which shifts are added: squared wavenumbers of direct solutions."""
 NEAREST = 0.1
-"""Smallest distance of a new shift k^2 from its neighbours, relative to that between these."""
+"""Smallest distance of a new shift k^2 from its neighbours, relative to their mutual distance."""
 
 
 def swept(

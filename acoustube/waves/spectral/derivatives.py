@@ -191,8 +191,9 @@ def _changed_impedance(
 ) -> tuple[Array, Array]:
     """Return the impedance matrix Z in m, without losses, and its derivative by the parameter.
 
-    Z is modal pressure over modal normal derivative; the derivative is per unit of the parameter of
-    `changes`. Both are (n, n_ports n_modes, n_ports n_modes), at wavenumbers `k` in 1/m, (n,).
+    Z gives the modal pressures from the modal normal derivatives of the pressure. Its derivative is
+    per unit of the parameter of `changes`. Both are (n, n_ports n_modes, n_ports n_modes), at
+    wavenumbers `k` in 1/m, (n,).
     """
     square, vector = ritz(space.stiffness, space.mass)
     ports = vector.T @ space.ports

@@ -173,7 +173,8 @@ class Response(NamedTuple):
         First-order correction of the response by the other functions of the enriched basis,
         (n_elements, size - n_basis, n_active), for the modes up to `ACTIVE_MARGIN`.
     impedance : ndarray
-        Z in m, modal pressure over modal normal derivative, (n_ports n_modes, n_ports n_modes).
+        Z in m, which gives the modal pressures from the modal normal derivatives,
+        (n_ports n_modes, n_ports n_modes).
     by_degree : ndarray
         Correction of Z by higher degrees across the tube, of the shape of `impedance`.
     by_element : ndarray
@@ -244,7 +245,7 @@ def discretise(
 def _in_inner_modes(
     elements: Elements, layout: Layout
 ) -> tuple[Chain, Chain, tuple[Array, Array], tuple[Array, Array], tuple[Array, Array]]:
-    """Transform element matrices to the elements' modes: `low` to `turns` of `Discretisation`."""
+    """Return `low`, `high`, `cross`, `rest`, `turns` of `Discretisation` from element matrices."""
     n, more = layout.n_basis, layout.n_higher
     chains, turns = [], []
     for start, stop, width in ((0, n, layout.n), (n, n + more, layout.n_all - layout.n)):

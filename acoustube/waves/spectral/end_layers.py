@@ -46,7 +46,8 @@ def lossy_ends(
     kz : ndarray
         In 1/m, (n, n_modes).
     flux : ndarray
-        Components of each lossy mode's flux along the lossless modes, (n, n_modes, n_modes).
+        Components along the lossless modes (rows) of the flux of each lossy mode (columns),
+        (n, n_modes, n_modes).
 
     Notes
     -----
@@ -103,7 +104,7 @@ def _eigenmodes(inertia: Complex, right: Complex) -> tuple[Complex, Complex]:
 
 
 def _section_widths(section: Section, thickness: float) -> tuple[Array, Array]:
-    """Return gap widths in m and weights of the round tube along an end's contour, (n_points,)."""
+    """Return gap widths in m and weights b (see `layers`) along an end's contour, (n_points,)."""
     contours, halved = section.contours, section.basis.odd is not None
     measured = narrow_sections(contours, section.boxes, halved, thickness)
     width = gap_widths(contours, section.extent, halved, measured)

@@ -33,8 +33,8 @@ SECTION_DEGREE = 18
 """Total degree of the polynomials for the modes of a section that is not round."""
 
 MIRROR_PERTURBATION = 1e-6
-"""Factor, over the squared radius, of the reflection x -> -x that is subtracted from the stiffness:
-it separates symmetric from antisymmetric modes of equal cut-on."""
+"""Divided by the squared radius, the factor of the reflection x -> -x that is subtracted from the
+stiffness: it separates symmetric from antisymmetric modes of equal cut-on."""
 SIGN_POINTS = 24
 """Number of points over half the width, and over half the height, of a section, at which the signs
 of its modes are determined."""

@@ -141,7 +141,7 @@ def flat_elements(wall: Wall, edges: Array) -> NDArray[np.bool_]:
 
 
 def _with_more(shifts: Array, more: Array) -> Array:
-    """Return the wavenumbers `shifts` and those of `more` below the last and not close to any."""
+    """Return `shifts`, with those wavenumbers of `more` below the last shift and close to none."""
     close = CLOSEST * np.diff(shifts).max()
     for shift in more[more < shifts[-1]]:
         if np.abs(shifts - shift).min() > close:

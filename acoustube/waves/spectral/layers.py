@@ -51,15 +51,15 @@ WIDE_GAP = 30.0
 """Smallest gap in an element that counts as wide, relative to the viscous layer's thickness
 ``|D_v|`` at the lowest frequency."""
 MANY_LAYERS = 15.0
-"""Real part of h / 2D, gap over twice the complex layer thickness, from which the factor f of the
-layers is computed by its asymptotic series."""
+"""Real part of h / 2D, gap divided by twice the complex layer thickness, from which the factor f of
+the layers is computed by its asymptotic series."""
 TANGENTIAL = 1e-3
 """Sine of the angle between a wall and the line to another point, below which that point counts as
 a neighbour on the same wall."""
 LEAK = 0.7
 """Height of the slit whose mean velocity a sealed gap has, relative to the gap: air that could not
-move at all would have mass without stiffness, which no polynomials resolve. At 0.3 the error
-estimate at a depth of 8 mm under a 25 mm rod is 2e-2, at 0.7 it is 1e-3 (lossless fields only)."""
+move at all would have mass without stiffness, which no polynomials resolve. At a depth of 8 mm
+under a 25 mm rod the estimated error of the span of lossless fields is 2e-2 at 0.3, 1e-3 at 0.7."""
 SEALING_WIDTH = 0.2
 """Range of gaps, relative to the sealing gap, over which walls pass from sealed to open. Gaps
 vary little over a contact: if it were sealed at one height exactly, it would open at once over its
@@ -67,15 +67,16 @@ whole width, and no quadrature along the tube would converge."""
 SAMPLES = 10
 """Number of frequencies from which the functions of position of the layers are derived."""
 LEAST_PART = 1e-4
-"""Smallest singular value of a function of the layers that is kept, relative to the norm of all
-values."""
+"""Smallest singular value of a function of position that is included in the sum for the layers'
+factor f, relative to the norm of all values of f."""
 
 
 class LayerSeries(NamedTuple):
-    """Corrected thicknesses of boundary layers, sums of functions of frequency times of position.
+    """Corrected thicknesses of boundary layers, as functions of frequency and position.
 
     These are f D_v and (gamma - 1) f D_t, with the complex viscous and thermal thicknesses D_v and
-    D_t in m, and their factor f in narrow gaps.
+    D_t in m, and their factor f in narrow gaps. Each is a sum of n_parts products of a function of
+    position and a function of frequency.
 
     Attributes
     ----------
@@ -97,9 +98,10 @@ def layer_thickness(frequency: Array, air: Air) -> tuple[Complex, Complex]:
 
 
 def filling(width: Array, roundness: Array, thickness: Complex) -> Complex:
-    """Return the factor f of the layer thickness D in a gap h, with the weight b of a round tube.
+    """Return the factor f of the layer thickness D in a gap h (see the module's docstring).
 
-    `width` is h in m, `roundness` b, and `thickness` D in m; they are broadcast.
+    `width` is h in m, `roundness` the weight b of the term for a round tube, and `thickness` D in
+    m; they are broadcast.
     """
     argument, b = np.broadcast_arrays(width / (2 * thickness), roundness)
     # The series has a relative error of 1e-7 where the air is many layers wide, mostly the case.
@@ -118,7 +120,8 @@ class Gaps(NamedTuple):
     Attributes
     ----------
     width, roundness : ndarray
-        Diameter h of the circle in m, and weight b of the round tube, (n_sections, n_points).
+        Diameter h of the circle in m, and weight b of the term for a round tube in the layers'
+        factor f, (n_sections, n_points).
     measured : ndarray of bool
         Whether the widths of a section are measured at each point, (n_sections,).
     sealed : ndarray
@@ -176,7 +179,7 @@ def narrow_sections(
 ) -> NDArray[np.bool_]:
     """Return a mask of the sections so narrow that their gaps are measured point by point.
 
-    They are low or slender, or dented until opposite walls almost meet, as under a small tool.
+    They are low or slender, or dented until opposite walls almost meet, as under a small indenter.
     """
     narrow = 2 * np.minimum(boxes.a, boxes.b) < NARROW_SECTION * thickness
     dented = np.any(curvature(contours) < 0, axis=1) & ~narrow
@@ -254,7 +257,7 @@ def _fillings(gaps: Gaps, sampled: Array, air: Air) -> Complex:
 def _series(
     points: WallPoints, gaps: Gaps, values: Complex, sampled: Array, frequency: Array, air: Air
 ) -> LayerSeries:
-    """Return the corrected thicknesses f D, or derivatives, from values of f from `_fillings`."""
+    """Return corrected thicknesses f D from values of f, or their derivatives from those of f."""
     rows = np.concatenate([values.real, values.imag])
     number = points.rule.element
     of_element = np.repeat(number, gaps.width.shape[1])

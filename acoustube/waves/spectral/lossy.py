@@ -190,8 +190,9 @@ def lossy_scattering(
     kz : ndarray
         Axial wavenumbers of the lossy modes of an end in 1/m, (n, n_modes).
     lacking : ndarray
-        Largest sum, over coefficients of propagating modes, of the change in the smaller spaces and
-        of that in a direct solution, (n,), interpolated from those at a few frequencies.
+        Estimated error of S, (n,), interpolated from a few frequencies: for each coefficient the
+        magnitudes of its changes in the smaller spaces and in a direct solution are added; the
+        error is the largest of these sums over the propagating modes.
     """
     k = 2 * np.pi * frequency / air.sound_speed - 1j * air.absorption(frequency)
     kz, flux = lossy_ends(k, system.modes, system.radius, system.rim, frequency, air)

@@ -47,10 +47,11 @@ class WallChanges(NamedTuple):
     Attributes
     ----------
     viscous, thermal : ndarray
-        Functions of frequency, in m for the losses themselves and in m per unit of the parameter
-        for their derivatives, (n_frequencies, n_parts).
+        Functions of frequency, (n_frequencies, n_parts): first those of the losses, in m, then
+        those of the derivatives of the losses, in m per unit of the parameter.
     sides : list of tuple of ndarray
-        Stiffness and mass in the space of each side, (n_parts, n_fields, n_fields).
+        Stiffness and mass in the space of each side, (n_parts, n_fields, n_fields): derivatives of
+        the wall integrals for the former functions, the integrals themselves for the latter.
     """
 
     viscous: Complex

@@ -18,8 +18,8 @@ ROUND = 1e-3
 """Largest deviation from a circle, relative to its radius, of an end that counts as round."""
 NEWTON_STEPS = 30
 NOT_STRAIGHT = (
-    "the lumen is not straight at its ends, or they differ in section; let both end in straight "
-    "tube of one section"
+    "the lumen is not straight at its ends, or they differ in section; let both be straight "
+    "tube of the same section"
 )
 """Message about a lumen whose ends cannot be continued straight."""
 

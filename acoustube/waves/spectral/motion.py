@@ -1,4 +1,4 @@
-"""Motions of a wall with a parameter: the depth of a press, the size of a tool, the bore.
+"""Motions of a wall with a parameter: the depth of a press, the size of an indenter, the bore.
 
 Quantities that depend on the wall through integrals only are differentiated by central differences
 of these integrals, between walls displaced by `DISPLACEMENT` of the radius. The error is of second
@@ -20,12 +20,13 @@ from acoustube.waves.spectral.walls import Wall
 
 DISPLACEMENT = 1e-6
 """Largest displacement of the wall in either direction, relative to the radius of the ends. The
-relative error of a derivative is then 1e-10 by rounding, 1e-7 by differencing in a 20 um gap."""
+relative error of a derivative is then 1e-10 due to rounding, 1e-7 due to the differences in a gap
+of 20 um."""
 SLOPE_STEP = 1e-5
 """Step in z of the central differences for the z derivative of a motion, relative to the radius."""
 SAMPLES = 200
-"""Number of sections at which a motion (see above) is evaluated for its maximum and its symmetries.
-It is evaluated at their mirror images about the middle too."""
+"""Number of sections at which displacements are evaluated, for their maximum and symmetries, and
+also at the sections' mirror images about the middle."""
 ALIKE = 1e-5
 """Largest difference of displacements that count as equal, relative to the largest displacement."""
 

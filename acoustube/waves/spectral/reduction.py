@@ -14,8 +14,8 @@ from acoustube.waves.spectral.polynomials import Array
 from acoustube.waves.spectral.ports import Complex
 
 DEPENDENCE_TOLERANCE = 1e-12
-"""Singular value below which a direction of new fields is dropped as linearly dependent. The fields
-have unit norm; then their parts in the span of the known fields are subtracted."""
+"""Singular value below which a direction of new fields is dropped as linearly dependent. Beforehand
+the new fields are normalised, and their parts in the span of the known fields subtracted."""
 
 NO_MASS, NEGATIVE_MASS = 1e-12, -1e-8
 """Eigenvalues of the mass matrix, scaled to a unit diagonal, relative to the largest. Below the

@@ -27,8 +27,8 @@ class SpectralScattering(ModalScattering):
         Derivative of `s` with respect to the parameter that moves the wall, per unit of it, of the
         shape of `s`; None if no motion was given.
     error : ndarray
-        Estimated largest error of the coefficients at each frequency, (n,). With losses, errors by
-        the boundary layers at the ports are not included: 1e-4, in bores of 1 mm 4e-4.
+        Estimated largest error of the coefficients at each frequency, (n,). Not included are, with
+        losses, errors due to the boundary layers at the ports: 1e-4, in bores of 1 mm 4e-4.
     tolerance : float
         Requested largest error of a coefficient.
     degree : int

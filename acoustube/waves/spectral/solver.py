@@ -200,7 +200,7 @@ def _check_ends(wall: Wall) -> None:
             )  # fmt: skip
     elif max(np.ptp(x, axis=0).max(), np.ptp(y, axis=0).max()) > largest:
         raise ConfigError(
-            "the lumen's ends differ in section; let both end in straight tube of one section"
+            "the lumen's ends differ in section; let both be straight tube of the same section"
         )
 
 
@@ -275,8 +275,8 @@ def _part(task: _Task, odd: bool | None) -> _Part:
 def _change_from_poorer_basis(task: _Task, odd: bool | None, basis: Basis, s: Complex) -> Array:
     """Return the largest difference of S with losses from that in a poorer basis, (n,).
 
-    Where walls are pressed together, fields with losses differ much from those without. So do the
-    errors by degree and by elements, which decrease slowly there.
+    Where walls are pressed together, fields with losses differ much from those without. Their
+    errors due to the degree and to the elements differ too: they decrease slowly.
     """
     poorer = replace(basis, degree=basis.degree - POORER[0])
     order = ELEMENT_DEGREE - POORER[1]
@@ -329,7 +329,7 @@ def _with_losses(
 
 
 def _estimated(error: Array, wall: Wall) -> Array:
-    """Return the largest error within `ERROR_WINDOW` of each frequency, plus that by quadrature."""
+    """Return the largest error within `ERROR_WINDOW` of each frequency, plus that of quadrature."""
     least = LEAST_ERROR if len(wall.knots) else 0.0
     return least + maximum_filter1d(error, 2 * ERROR_WINDOW + 1)
 

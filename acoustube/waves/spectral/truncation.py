@@ -30,7 +30,7 @@ MORE_DEGREES = 6
 
 
 def excess_across(system: Discretisation, responses: dict[float, list[Response]]) -> float:
-    """Return the truncation error across the tube over the change by the next polynomial degrees.
+    """Return the truncation error across the tube divided by the change due to the next degrees.
 
     The change of the responses is taken as a geometric series in the degree, whose ratio is that of
     the energies of the highest and the next lower degrees.
