@@ -235,6 +235,9 @@ def test_frequencies_outside_the_band_of_a_press_are_refused():
         transfer([press], AIR, np.array([20e3, 30e3]), **tube())
     with pytest.raises(ValueError, match=r"of the energy of the pulse lies outside 25"):
         probe_pressure([press], AIR, Pulse(frequency=25e3), duration=1e-3, **tube())
+    with pytest.raises(ValueError, match="no frequency of the pulse lies in the bands of all"):
+        apart = [press, PlacedScatterer(mirror(0.5, FREQUENCY + 90e3), 0.5)]
+        probe_pressure(apart, AIR, Pulse(frequency=25e3), duration=1e-3, **tube())
     with pytest.raises(ValueError, match=r"pulse lasts 0.2619 ms, longer than the run"):
         probe_pressure([press], AIR, PULSE, duration=0.2e-3, **tube())
     other = PlacedScatterer(

@@ -226,7 +226,7 @@ def test_c3d_is_read_as_the_table(tmp_path):
     assert markers.second == pytest.approx(second, abs=1e-6)
     file["parameters"]["POINT"]["UNITS"]["value"] = ["meters"]
     file.write(str(tmp_path / "n.c3d"))
-    with pytest.raises(ConfigError, match=r"n\.c3d is in the unit meters; give unit"):
+    with pytest.raises(ConfigError, match=r"n\.c3d states the unit meters; state its true unit"):
         read_markers(tmp_path / "n.c3d")
     assert read_markers(tmp_path / "n.c3d", unit="mm").first == pytest.approx(first, abs=1e-6)
 

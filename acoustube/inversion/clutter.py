@@ -92,7 +92,10 @@ class Clutter:
 
     @cached_property
     def warmer_by_row(self) -> NDArray[np.complex64]:
-        """Derivative of the reflection by temperature, times the table's step :data:`WARM_STEP`."""
+        """Derivatives `warmer` of the table `behind` per step between its rows.
+
+        Its rows are temperatures :data:`WARM_STEP` apart.
+        """
         assert self.warmer is not None
         return np.asarray(WARM_STEP * self.warmer, np.complex64)
 

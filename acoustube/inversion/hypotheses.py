@@ -47,7 +47,7 @@ KEPT = 3
 """Number of candidates whose model error is estimated, for each tool of a further press and each
 index of this press along the tube."""
 SEARCHED = 0.02
-"""Largest relative error of the model that is assumed in the search for presses."""
+"""Largest relative model error that is assumed in the search for presses."""
 STARTS = 2, 10
 """Number of iterations for all candidates of one more press, and number of the best candidates that
 are then refined further."""

@@ -95,7 +95,10 @@ def echo(
 
 
 def _stacked(parts: list[Complex], shape: tuple[int, ...]) -> Complex:
-    """Return one array of matrices padded to three modes, (n_presses, n, n_f, 2, 3, 2, 3)."""
+    """Return matrices of n parameter sets as one array, padded to three modes.
+
+    Its shape is (n_presses, n, n_f, 2, 3, 2, 3).
+    """
     if len(parts) == 1:
         return padded(parts[0], MOST_MODES)[None]
     found = np.zeros((len(parts), *shape, 2, MOST_MODES, 2, MOST_MODES), complex)

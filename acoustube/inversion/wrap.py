@@ -197,8 +197,8 @@ class WrappedPath:
         if not high > low:
             raise ConfigError(
                 f"the wrap from {wrap.start:.3g} to {wrap.stop:.3g} m has no place for a press "
-                f"beyond {low:.3g} m, the nearest that can be located; check lead and loops of the "
-                "sleeve"
+                f"beyond {low:.3g} m, the nearest that can be located, on a tube of {length:.3g} "
+                "m; check lead and loops of the sleeve, and the length of the tube"
             )
         return low, high
 

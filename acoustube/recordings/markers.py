@@ -91,7 +91,10 @@ def read_markers(
     ):
         rows, own = (_from_c3d if path.suffix.lower() == ".c3d" else _from_table)(path)
     if unit is None and own is not None and own not in UNITS:
-        raise ConfigError(f"{path} is in the unit {own}; give unit (--unit) as mm, cm or m")
+        raise ConfigError(
+            f"{path} states the unit {own}; state its true unit by unit (--unit): mm, cm or m, or "
+            "convert it to one of these"
+        )
     first, second = names = _column_names(rows, columns, path)
     known = unit or own
     scale = UNITS[known or DEFAULT_UNIT]

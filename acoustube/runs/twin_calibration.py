@@ -98,8 +98,8 @@ def _calibrated(own: Rangefinder, trigger: float, common: Mapping[str, Any]) -> 
     places = np.arange(FIRST, min(common["length"] - BEFORE_END, reach), APART)
     if len(places) < FEWEST:
         raise ConfigError(
-            f"its tube of {CM * common['length']:.3g} cm is too short for {FEWEST} closures; give "
-            "a calibration (--calibration)"
+            f"a tube of {CM * common['length']:.3g} cm is too short for the {FEWEST} closures of a "
+            "simulated calibration; give a calibration (--calibration)"
         )
     shut = [
         record([blockage(band, float(z))], own, n_cycles=CYCLES, seed=i, session_seed=0, **common)

@@ -1,4 +1,4 @@
-"""Wall and ground of a twin, from recordings of presses of known tool, depth or force."""
+"""Modulus of a twin's wall and compliance of its ground, from recordings of known presses."""
 
 from __future__ import annotations
 

@@ -133,7 +133,7 @@ def locate(
     time : array of shape (time,)
         Sampling times in s; the pulse starts to leave the source end at 0.
     samples : array of shape (..., time)
-        The cycles in any unit, integers or not, with their offset.
+        The cycles in any unit, integers or not, with their mean (DC offset).
     settings : Processing, optional
         Default: the sleeve paper's numbers; those of a calibration are
         :attr:`acoustube.signals.Calibration.processing`.

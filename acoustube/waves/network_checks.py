@@ -95,8 +95,13 @@ def in_band(
     if not 0 < energy.sum() < np.inf:
         raise ValueError(f"{what} is zero, or holds values that are not finite")
     left_out = energy[~inside].sum() / energy.sum()
+    if not inside.any():
+        raise ValueError(
+            f"no frequency of {what} lies in the bands of all scattering matrices of the presses; "
+            "compute all of them over the band of this signal"
+        )
     if left_out > OUT_OF_BAND_ENERGY:
-        low, high = frequency[inside][[0, -1]] if inside.any() else (0.0, 0.0)
+        low, high = frequency[inside][[0, -1]]
         raise ValueError(
             f"{100 * left_out:.2g} % of the energy of {what} lies outside {KHZ * low:.4g} to "
             f"{KHZ * high:.4g} kHz, the band of the presses' scattering, and "

@@ -160,7 +160,7 @@ def _smallest_wins(cases: xr.Dataset) -> float:
 
 
 def _time_rows(lossless: xr.Dataset, coarser: xr.Dataset | None) -> list[Row]:
-    """Return rows of the variation with depth of the distance estimated from the direct echo."""
+    """Return report rows: how the distance estimated from the direct echo changes with depth."""
     why = (
         "The wall is rigid for sound at 42 kHz, and the speed of sound is the same at all depths: "
         "it is the reflecting part of the press that moves. The sleeve paper suspects a speed that "

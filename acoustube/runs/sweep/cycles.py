@@ -15,6 +15,7 @@ import xarray as xr
 
 from acoustube import ranging
 from acoustube.base.checks import SEED, Instance, Optional, Reals, check_fields
+from acoustube.base.errors import ConfigError
 from acoustube.base.netcdf import variable
 from acoustube.base.rules import Choice, Number
 from acoustube.base.types import Array
@@ -187,8 +188,9 @@ def record_one(name: str, path: Path, recipe: Recipe) -> xr.Dataset:
     Raises
     ------
     ValueError
-        If the rangefinder's band exceeds that of the press's scattering matrix, or `young_modulus`
-        is given for a tube on an elastic layer.
+        If the rangefinder's band exceeds that of the press's scattering matrix.
+    ConfigError
+        If `young_modulus` is given for a tube on an elastic layer.
     """
     return next(_recorded(name, path, dataclasses.replace(recipe, n_cycles=1)))
 
@@ -278,7 +280,7 @@ def _with_modulus(cycles: xr.Dataset, settings: SISettings, modulus: float | Non
     if modulus is None:
         return cycles
     if settings.layer is not None:
-        raise ValueError(
+        raise ConfigError(
             "on an elastic layer the force is not proportional to the twin's modulus of the wall; "
             "sweep with the twin's hardness, and remove young_modulus_mpa from `determined` in the "
             "twin's file"

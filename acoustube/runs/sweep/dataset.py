@@ -269,6 +269,8 @@ def _check_band(parts: Mapping[str, Sequence[tuple[str, Path]]], recipe: Recipe)
     for path, name in alike.values():
         try:
             record_one(name, path, recipe)
+        except ConfigError as error:
+            raise ConfigError(f"case {name} cannot be recorded: {error}") from error
         except ValueError as error:
             raise ConfigError(
                 f"case {name} cannot be recorded: {error}; choose a rangefinder near the carrier "

@@ -380,7 +380,7 @@ def respond(system: Discretisation, shift: float, blocks: int) -> list[Response]
 
 
 def _normalised(block: Array, n_sides: int) -> Array:
-    """Return a block of fields with the columns of each parity along z orthonormalised."""
+    """Return a block of fields, its even and its odd columns along z each orthonormalised."""
     flat = block.reshape(-1, block.shape[-1])
     bases = [np.linalg.qr(part)[0] for part in np.split(flat, n_sides, axis=1)]
     return np.concatenate(bases, axis=1).reshape(block.shape)

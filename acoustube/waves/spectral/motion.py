@@ -31,9 +31,9 @@ ALIKE = 1e-5
 """Largest difference of displacements that count as equal, relative to the largest displacement."""
 
 Velocity = Callable[[Array, Array], tuple[Array, Array]]
-"""Motion of a wall: function of z (n, 1) in m and of the contour parameter t from 0 to 2 pi,
-(n_points,). Its values are the displacements of the wall in x and in y in m per unit of the
-parameter, (n, n_points) each."""
+"""Derivative of a wall's position by a parameter of its shape, such as the depth of a press: a
+function of z (n, 1) in m and of the angle t along the contour, from 0 to 2 pi, (n_points,). Its
+values are the derivatives of x and y in m per unit of that parameter, (n, n_points) each."""
 
 
 class Motion(NamedTuple):
