@@ -146,7 +146,7 @@ def test_echo_of_presses_is_that_of_the_network_of_waves(n):
     given = [Matrices(*(one.scattering.s[None] for _ in range(3))) for one in presses]
     front = given[-1].value[:, :, 0, :, 0, :].reshape(1, -1, 9)
     heard = FrontCoefficients(front, front, front)
-    found = echo(given[:-1], heard, places[None], Waves(k[None], k[None]), 0.3)
+    found = echo(given[:-1], heard, places[None], Waves(k[None], k), 0.3)
     pressure = transfer(presses, air, frequency, radius=RADIUS, length=2.5, probes=[0.0],
                         source_reflection=0.3, far_reflection=0.0)[0]  # fmt: skip
     # At these frequencies the interpolation of that code is exact to rounding.

@@ -292,7 +292,7 @@ class Baseband:
         """Return the baseband in counts, (..., n_time), of spectra in counts s, (..., n_f)."""
         scale = 2 * len(self.bins) * self.step
         taper = (scale * self.taper).astype(spectrum.real.dtype)
-        return np.asarray(np.fft.ifft(spectrum * taper, axis=-1)[..., self.used])
+        return np.fft.ifft(spectrum * taper, axis=-1).take(self.used, axis=-1)
 
     def adjoint(self, samples: Complex) -> Complex:
         """Return the adjoint of :meth:`transformed` applied to samples: spectra (..., n_f).

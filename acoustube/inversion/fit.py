@@ -241,15 +241,11 @@ def evidence(model: ForwardModel, tools: tuple[int, ...], fits: Fits, whiten: We
 def distinct(fits: Fits, n_presses: int) -> Fits:
     """Return the distinct maxima, the best first; of those that count as one, the best is kept."""
     fits = fits.sorted()
-    scale = np.tile(DISTINCT, n_presses)
+    at, own = fits.parameters, fits.parameters[:, : 2 * n_presses]
+    close = np.abs(own[:, None] - own) < np.tile(DISTINCT, n_presses)
+    same = close.all(axis=2) | _alike(at, at, fits.information)
     kept: list[int] = []
-    for i in range(len(fits.cost)):
-        same = False
-        for j in kept:
-            off = fits.parameters[i] - fits.parameters[j]
-            close = bool(np.all(np.abs(off[: 2 * n_presses]) < scale))
-            overlapping = float(off @ fits.information[j] @ off) < SAME_MAXIMUM
-            same = same or close or overlapping
-        if not same:
+    for i in range(len(at)):
+        if not same[i, kept].any():
             kept.append(i)
     return fits.at(np.array(kept))

@@ -46,9 +46,9 @@ class Echo(NamedTuple):
 
 
 class Waves(NamedTuple):
-    """Axial wavenumbers in 1/m, (n, n_f, m), and their derivatives by temperature in 1/(m K).
+    """Axial wavenumbers of the modes in 1/m, (n, n_f, m), and their derivatives by temperature.
 
-    The derivatives may have any shape that broadcasts to that of the wavenumbers.
+    The derivatives, in 1/(m K), are the same for all parameter sets, (n_f, m).
     """
 
     k: Complex
@@ -78,12 +78,14 @@ def echo(
         Its value is (p - 1) / (1 + face), with the pressure p of the plane wave at the face over
         the launched pressure.
     """
-    lengths = np.diff(places, axis=1, prepend=0.0)
-    m = waves.k.shape[-1]
+    lengths = places.copy()
+    lengths[:, 1:] -= places[:, :-1]
     from acoustube.inversion.network_sums import echoes  # Numba: not needed by acoustube.sensor
 
-    k, heat = np.zeros((2, *waves.k.shape[:-1], MOST_MODES), complex)
-    k[..., :m], heat[..., :m] = waves.k, waves.by_temperature
+    missing = MOST_MODES - waves.k.shape[-1]
+    k, heat = (
+        np.pad(one, [(0, 0)] * (one.ndim - 1) + [(0, missing)]) if missing else one for one in waves
+    )
     path = np.exp(-1j * lengths[:, :, None, None] * k[:, None])
     matrices = (_stacked([press[i] for press in before], k.shape[:2]) for i in range(3))
     value, by_length, by_depth, heated, stretched = echoes(

@@ -61,8 +61,10 @@ def echoes(
         Lengths of the straight tube before each press in m, (n, n_presses).
     path : ndarray
         Propagation factors of the modes over these lengths, (n, n_presses, n_f, 3).
-    k, heat : ndarray
-        Wavenumbers in 1/m and their derivatives by temperature in 1/(m K), (n, n_f, 3).
+    k : ndarray
+        Wavenumbers in 1/m, (n, n_f, 3).
+    heat : ndarray
+        Their derivatives by temperature in 1/(m K), (n_f, 3).
     face : complex
         Reflection coefficient of the face for all modes.
 
@@ -103,7 +105,7 @@ def echoes(
             value[a, f] = dot(left, (seen[0], seen[3], seen[6]))
             wave, warm = (
                 (k[a, f, 0], k[a, f, 1], k[a, f, 2]),
-                (heat[a, f, 0], heat[a, f, 1], heat[a, f, 2]),
+                (heat[f, 0], heat[f, 1], heat[f, 2]),
             )
             # From the face on: the row vector `left` of the waves that reach the face from a plane,
             # and the column vector `right` of those that reach the plane from the face.

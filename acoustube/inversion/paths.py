@@ -17,6 +17,8 @@ from acoustube.inversion.joints import Joined
 from acoustube.inversion.tables import Matrices
 from acoustube.waves.scattering import Complex
 
+AT_ONCE = 32
+"""Number of evenly spaced places whose propagation factors are computed from that of the first."""
 BEFORE_END = 0.02
 """Length in m of tube before the far end in which no presses are sought."""
 
@@ -103,6 +105,23 @@ class Path(Protocol):
         front of each press or, if `behind` is true, at its back.
         """
 
+    def propagated(self, origin: float, places: Array, temperature: float) -> Complex:
+        """Return the modes' propagation factors from behind a press to the fronts of others.
+
+        Parameters
+        ----------
+        origin : float
+            Place of that press in m, or a place at or before the start of :meth:`phases`.
+        places : ndarray
+            Places of the other presses in m, evenly spaced, (n,).
+        temperature : float
+
+        Returns
+        -------
+        ndarray
+            Factors exp(-j phase) in single precision, (n, m, n_f).
+        """
+
     def plane(self, places: Array) -> tuple[Complex, Complex]:
         """Return the plane wave's one-way phases in rad from the face to places (n,) in m.
 
@@ -168,6 +187,20 @@ class StraightPath:
     def phases(self, places: Array, temperature: float, *, behind: bool = False) -> Complex:  # noqa: ARG002
         """Return the modes' phases in rad from the face to places (n,) in m, (n, n_f, m)."""
         return np.asarray(places[:, None, None] * (self.k + temperature * self.by_temperature))
+
+    def propagated(self, origin: float, places: Array, temperature: float) -> Complex:
+        """Return the modes' factors from `origin` to evenly spaced places (n,), (n, m, n_f).
+
+        They are products of factors to every 32nd place and of factors over up to 31 steps, since
+        exponentials take several times as long as products.
+        """
+        k: Complex = (self.k + temperature * self.by_temperature).T
+        step = float(places[1] - places[0]) if len(places) > 1 else 0.0
+        near = step * np.arange(min(len(places), AT_ONCE))[:, None, None]
+        far = (places[::AT_ONCE] - max(origin, 0.0))[:, None, None]
+        there, onwards = (propagation_factor(np.asarray(length * k)) for length in (far, near))
+        found = np.asarray(there[:, None] * onwards)
+        return found.reshape(-1, *k.shape)[: len(places)]
 
     def plane(self, places: Array) -> tuple[Complex, Complex]:
         """Return the plane wave's phases from the face in rad, and changes in rad/K, (n_f, n)."""

@@ -14,7 +14,7 @@ from acoustube.base.types import Array
 from acoustube.inversion.baseband import Baseband
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.parameters import CLOSEST
-from acoustube.inversion.paths import Path, propagation_factor, stretches
+from acoustube.inversion.paths import Path, stretches
 from acoustube.inversion.whitening import Weights
 from acoustube.waves.scattering import Complex
 
@@ -32,8 +32,8 @@ DISTINCT = 1.5e-3, 0.5e-3
 differences is larger."""
 KEPT = 40
 """Number of places whose reflection matrices are cached."""
-CHUNK = 40
-"""Largest number of places whose templates are computed at once."""
+CHUNK = 6
+"""Largest number of places whose templates are computed at once: some MB, which fit a cache."""
 BEFORE, LASTING = 1e-3, 5e-3
 """Times in s before the arrival of a template, and after the end of the drive in it, between which
 its energy is computed. Within `LASTING`, the power of sound that is trapped under a press decays by
@@ -217,14 +217,10 @@ class _Zone:
         self, parts: list[tuple[Complex, int, int]], path: Path, front: Front, warmer: float,
         field: Complex,
     ) -> None:  # fmt: skip
-        self.parts, self.path, self.origin, self.warmer = parts, path, front.place, warmer
-        self.field = field
-        self.start = path.phases(np.array([front.place]), warmer, behind=True)
+        self.path, self.origin, self.warmer, self.field = path, front.place, warmer, field
+        self.shapes = np.stack([shape for shape, _, _ in parts], axis=1).astype(np.complex64)
+        self.there, self.back = np.array([modes for _, *modes in parts]).T
         self.nodes, self.level = np.zeros(0), np.zeros((0, 0))
-
-    def phases(self, places: Array) -> Complex:
-        """Return the modes' phases in rad from the origin to places, (n_places, n_f, m)."""
-        return self.path.phases(places, self.warmer) - self.start
 
     def set_energy(self, base: Baseband, whiten: Weights, places: Array) -> None:
         """Compute the energies of templates at evenly spaced nodes that cover places.
@@ -236,16 +232,18 @@ class _Zone:
         places : ndarray
             Distances from the face in m, rising, (n_places,).
         """
-        step = NODES_BEHIND if len(self.parts) > 1 else NODES
+        from acoustube.inversion.sample_sums import propagated  # imports Numba
+
+        step = NODES_BEHIND if len(self.there) > 1 else NODES
         low, high = places[0] - FINE_REACH - step, places[-1] + FINE_REACH + 2 * step
-        self.nodes = np.arange(low, high, step)
-        energy = np.empty((len(self.nodes), len(self.parts[0][0])), np.float32)
-        sounds = base.echo_ranges(self.nodes, BEFORE, LASTING, whiten.n_samples)
+        self.nodes = np.arange(max(low, self.origin), high, step)
+        ranges = base.echo_ranges(self.nodes, BEFORE, LASTING, whiten.n_samples)
+        modes = self._modes(self.nodes)
+        parts = self.shapes.real.copy(), self.shapes.imag.copy()
+        energy = np.empty((len(self.nodes), len(self.shapes)), np.float32)
         for some in np.array_split(np.arange(len(self.nodes)), 1 + len(self.nodes) // CHUNK):
-            samples = base.transformed(self._spectra(np.maximum(self.nodes[some], self.origin)))
-            for i, part in zip(some, samples, strict=True):
-                start, stop = sounds[i]
-                energy[i] = whiten.energies(part[:, start:stop], start)
+            spectra = propagated(*parts, self.there, self.back, modes[some])
+            energy[some] = whiten.energies(base.transformed(spectra), ranges[some])
         least = FAINTEST * energy.max(axis=1, keepdims=True)
         self.level = np.log(np.maximum(np.maximum(energy, least), 1e-30).T)
 
@@ -257,30 +255,23 @@ class _Zone:
         return np.asarray(np.exp((1 - share) * self.level[:, i] + share * self.level[:, i + 1]))
 
     @cached_property
-    def _shapes(self) -> Complex:
-        """The spectra in `parts` at the origin, in single precision, (n_depths, n_parts, n_f)."""
-        return np.stack([shape for shape, _, _ in self.parts], axis=1).astype(np.complex64)
-
-    @cached_property
     def _filters(self) -> Complex:
-        """Conjugates of the spectra in `parts`, times the field, (n_depths, n_parts n_f)."""
-        products = self._shapes.conj() * self.field.astype(np.complex64)
+        """Spectra at the origin times the conjugate of the field, (n_depths, n_parts n_f)."""
+        products = self.shapes * self.field.conj().astype(np.complex64)
         return np.asarray(products.reshape(len(products), -1))
 
     def correlation(self, places: Array) -> Complex:
-        """Return the correlations of the templates with the field, (n_depths, n_places)."""
-        factors = self._factors(places).conj()
-        return np.asarray(self._filters @ factors.reshape(len(places), -1).T)
+        """Return correlations of the templates with the field, (n_depths, n_places).
 
-    def _spectra(self, places: Array) -> Complex:
-        """Return the spectra of templates at places, (n_places, n_depths, n_f)."""
-        found = self._factors(places).transpose(2, 0, 1) @ self._shapes.transpose(2, 1, 0)
-        return np.asarray(np.moveaxis(found, 0, -1))
+        The places in m are evenly spaced, (n_places,).
+        """
+        modes = self._modes(places)
+        factors = modes[:, self.there] * modes[:, self.back]
+        return np.asarray((self._filters @ factors.reshape(len(places), -1).T).conj())
 
-    def _factors(self, places: Array) -> Complex:
-        """Return propagation factors of `parts` to places and back, (n_places, n_parts, n_f)."""
-        modes = propagation_factor(self.phases(places))
-        return np.stack([modes[..., a] * modes[..., b] for _, a, b in self.parts], axis=1)
+    def _modes(self, places: Array) -> Complex:
+        """Return the modes' factors from the origin to evenly spaced places, (n_places, m, n_f)."""
+        return self.path.propagated(self.origin, places, self.warmer)
 
 
 def around(place: float) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.lapack import ztrtri
 
-from acoustube.base.types import Array
+from acoustube.base.types import Array, Index
 from acoustube.waves.scattering import Complex
 
 
@@ -52,17 +52,16 @@ class Weights(ABC):
         """Return the weights of the first n samples alone; `log_determinant` is unchanged."""
 
     @abstractmethod
-    def energies(self, samples: Complex, start: int) -> Array:
-        """Return the squared norms (...) that signals have after whitening.
-
-        Before whitening, a signal is zero except for k consecutive samples.
+    def energies(self, samples: Complex, ranges: Index) -> Array:
+        """Return the squared norms (n, m) that parts of signals have after whitening.
 
         Parameters
         ----------
         samples : ndarray
-            The k samples, in single precision, (..., k).
-        start : int
-            Index of the first of them.
+            Signals in single precision, (n, m, n_time).
+        ranges : ndarray
+            For each n, the index of the first sample that counts and of the one after the last,
+            (n, 2). The others count as zero.
         """
 
     @property
@@ -127,10 +126,14 @@ class RankOneWeights(Weights):
 
     def __call__(self, samples: Complex) -> Complex:
         """Return whitened samples (..., n) of samples (..., n_time)."""
-        scaled = samples[..., : len(self.scale)] * self.scale
+        given = samples[..., : len(self.scale)]
         if self.shape is None:
-            return scaled
-        return _innovations(scaled, self.shape, *self._recursion)
+            return given * self.scale
+        from acoustube.inversion.sample_sums import innovations  # imports Numba
+
+        rows = given.reshape(-1, len(self.scale))
+        found = innovations(rows, self.scale, self.shape, *self._recursion)
+        return np.asarray(found.reshape(given.shape))
 
     def of_derivatives(self, samples: Complex) -> Complex:
         """Return whitened derivatives (..., n), in double precision: products with u may cancel."""
@@ -151,15 +154,12 @@ class RankOneWeights(Weights):
         shape = None if self.shape is None else self.shape[:n]
         return replace(self, scale=self.scale[:n], shape=shape)
 
-    def energies(self, samples: Complex, start: int) -> Array:
-        """Return squared norms after whitening of signals with k nonzero samples in a row."""
-        part = slice(start, start + samples.shape[-1])
-        scaled = samples * self.scale[part]
-        found = np.einsum("...i,...i->...", scaled.real, scaled.real)
-        found += np.einsum("...i,...i->...", scaled.imag, scaled.imag)
-        if self.shape is not None:
-            found -= self._absorbed * np.abs(scaled @ self.shape[part].conj()) ** 2
-        return np.asarray(found)
+    def energies(self, samples: Complex, ranges: Index) -> Array:
+        """Return the squared norms (n, m) that parts of signals have after whitening."""
+        from acoustube.inversion.sample_sums import energies  # imports Numba
+
+        shape = np.zeros(len(self.scale), complex) if self.shape is None else self.shape
+        return np.asarray(energies(samples, *ranges.T, self.scale, shape, self._absorbed))
 
     @property
     def sample_precision(self) -> Array:
@@ -236,11 +236,14 @@ class FullWeights(Weights):
         """Return the weights of the first n samples alone; `log_determinant` is unchanged."""
         return replace(self, matrix=self.matrix[:n, :n])
 
-    def energies(self, samples: Complex, start: int) -> Array:
-        """Return squared norms after whitening of signals with k nonzero samples in a row."""
-        part = slice(start, start + samples.shape[-1])
-        weighted = samples @ self._precision[part, part].T
-        return np.asarray((samples.real * weighted.real + samples.imag * weighted.imag).sum(-1))
+    def energies(self, samples: Complex, ranges: Index) -> Array:
+        """Return the squared norms (n, m) that parts of signals have after whitening."""
+        found = np.empty(samples.shape[:2], np.float32)
+        for i, (start, stop) in enumerate(ranges):
+            part = samples[i, :, start:stop]
+            weighted = part @ self._precision[start:stop, start:stop].T
+            found[i] = (part.real * weighted.real + part.imag * weighted.imag).sum(-1)
+        return np.asarray(found)
 
     @property
     def sample_precision(self) -> Array:
@@ -260,23 +263,6 @@ class FullWeights(Weights):
     def _precision(self) -> Complex:
         """Precision matrix in single precision, (n, n)."""
         return (self.matrix.conj().T @ self.matrix).astype(np.complex64)
-
-
-def _innovations(scaled: Complex, shape: Complex, before: Array, gain: Array) -> Complex:
-    """Return whitened samples (..., n): innovations of the estimate of the error's amplitude.
-
-    Parameters
-    ----------
-    scaled : ndarray
-        Samples times :attr:`RankOneWeights.scale`, (..., n).
-    shape : ndarray
-        The vector u of :class:`RankOneWeights`, (n,).
-    before, gain : ndarray
-        ``s_(k-1)`` and ``sqrt(s_(k-1) / s_k)``, (n,).
-    """
-    along = scaled * shape.conj()
-    earlier = np.cumsum(along, axis=-1) - along
-    return np.asarray(gain * (scaled - shape / before * earlier))
 
 
 def log_determinant(factor: Complex, scale: Array) -> float:

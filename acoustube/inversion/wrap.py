@@ -27,7 +27,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.base.units import CM
 from acoustube.inversion.joints import Joined
-from acoustube.inversion.paths import BEFORE_END, Entry, Section
+from acoustube.inversion.paths import BEFORE_END, Entry, Section, propagation_factor
 from acoustube.inversion.tables import Matrices, padded
 from acoustube.waves import Bent
 from acoustube.waves.bent_modes import BentModes, bent_modes
@@ -282,6 +282,12 @@ class WrappedPath:
         reach = self.wrap.reach
         at = self._inside(places + (reach if behind else -reach))
         return np.asarray(self.phase(at) + temperature * self.warmer(at))
+
+    def propagated(self, origin: float, places: Array, temperature: float) -> Complex:
+        """Return the modes' factors from behind a press at `origin` to places (n,), (n, m, n_f)."""
+        start = self.phases(np.array([origin]), temperature, behind=True)
+        passed = self.phases(places, temperature) - start
+        return propagation_factor(np.ascontiguousarray(passed.swapaxes(1, 2)))
 
     def plane(self, places: Array) -> tuple[Complex, Complex]:
         """Return the plane wave's phases from the face in rad, and changes in rad/K, (n_f, n)."""
