@@ -131,6 +131,7 @@ def test_weights_are_the_root_of_the_inverse_covariance(
             expected = np.sum(part[:, start:stop].conj() * product, axis=1).real
             np.testing.assert_allclose(energies, expected, rtol=1e-4)
     assert whole.until(30).log_determinant == whole.log_determinant
+    assert whole.until(0)(samples).shape == (3, 0)
 
 
 @LEARNED

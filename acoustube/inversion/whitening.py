@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -131,7 +132,7 @@ class RankOneWeights(Weights):
             return given * self.scale
         from acoustube.inversion.sample_sums import innovations  # imports Numba
 
-        rows = given.reshape(-1, len(self.scale))
+        rows = given.reshape(math.prod(given.shape[:-1]), len(self.scale))
         found = innovations(rows, self.scale, self.shape, *self._recursion)
         return np.asarray(found.reshape(given.shape))
 
