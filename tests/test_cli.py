@@ -55,7 +55,7 @@ def test_help_names_every_option_with_its_unit():
         ("--source-end", "release, absorbing"),
         ("--config", "TOML"),
         ("--out", "Folder"),
-        ("--quiet", "except errors"),
+        ("--quiet", "nothing but errors"),
     ):
         line = text[text.index(option) :]
         assert unit in line[: line.find("--", 2)]

@@ -135,7 +135,7 @@ def test_lumen_of_each_depth_has_the_volume_of_the_squeezed_tube(suffix):
     assert main(["export", "press", "--format", suffix, "--out", "out"]) == 0
     table = pd.read_csv("out/lumens.csv")
     assert list(table["depth_mm"]) == pytest.approx([1.0, 2.0])
-    assert "as acoustube scatter takes it" in Path("out/README.txt").read_text()
+    assert "as acoustube scatter requires" in Path("out/README.txt").read_text()
     for file, share in zip(table["file"], SHARES, strict=True):
         surface, start = read_lumen(f"out/{file}")
         length = surface.extents[2]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from acoustube.base.foreign.limits import reading
 from acoustube.base.foreign.results import open_result
 from acoustube.base.names import PATH
 from acoustube.base.netcdf import flag, to_netcdf, variable
+from acoustube.base.netcdf_reader import Reader
 from acoustube.base.version import __version__
 from acoustube.waves.scattering import Scattering
 from acoustube.waves.spectral import SpectralScattering
@@ -105,8 +107,7 @@ def recall(name: str) -> StoredScattering | None:
     known = cache.recall(name)
     if known is None:
         return None
-    with xr.open_dataset(known["netcdf"].tobytes(), engine="h5netcdf") as data:
-        return from_dataset(data.load())
+    return from_dataset(xr.load_dataset(BytesIO(known["netcdf"].tobytes()), engine=Reader))
 
 
 @checked(path=PATH)

@@ -49,10 +49,11 @@ def open_result(path: str | Path, advice: str, failure: str = FAILURE) -> xr.Dat
     """Check a result file and read it into memory; raise ConfigError as :func:`check_result`."""
     import xarray as xr
 
+    from acoustube.base.netcdf_reader import Reader
+
     check_result(path, advice, failure)
-    opening = limits.reading(path, failure, advice)
-    with opening, xr.open_dataset(path, engine="h5netcdf") as file:
-        return file.load()
+    with limits.reading(path, failure, advice):
+        return xr.load_dataset(path, engine=Reader)
 
 
 def settings_in(text: Any, source: str | Path) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.files import check_out, check_writable
 from acoustube.base.foreign.results import check_result
 from acoustube.base.netcdf import Seal, to_netcdf
+from acoustube.base.netcdf_reader import Reader
 from acoustube.base.remnants import ASIDE
 from acoustube.base.version import __version__
 from acoustube.base.writing import DiskFullError
@@ -39,8 +40,6 @@ SCATTERING = "scattering"
 """netCDF group of a results file with the scattering matrix of its press."""
 WALLS = "walls"
 """netCDF group of a results file with the walls of its pressed tube; not every file has it."""
-OPENING: dict[str, Any] = {"engine": "h5netcdf", "phony_dims": "access"}
-"""Arguments of xarray.open_dataset, which allow for axes without a name in a damaged file."""
 ABANDONED = 3600.0
 """Age in s at which a partial file counts as left behind by a killed run."""
 
@@ -141,13 +140,10 @@ def intact(path: Path) -> list[str] | None:
 
 def read(path: Path) -> tuple[xr.Dataset, xr.Dataset | None]:
     """Return the cases of a results file, and their common scattering matrix; None without one."""
-    with xr.open_dataset(path, **OPENING) as file:
-        data = file.load()
-    matrix = None
-    if data.attrs["scattering"] == "yes":
-        with xr.open_dataset(path, **OPENING, group=SCATTERING) as file:
-            matrix = file.load()
-    return data, matrix
+    data = xr.load_dataset(path, engine=Reader)
+    if data.attrs["scattering"] != "yes":
+        return data, None
+    return data, xr.load_dataset(path, engine=Reader, group=SCATTERING)
 
 
 def lacks_scattering(path: Path) -> bool:
@@ -174,8 +170,7 @@ def walls(path: Path) -> xr.Dataset | None:
     with h5py.File(path) as content:
         if WALLS not in content:
             return None
-    with xr.open_dataset(path, **OPENING, group=WALLS) as file:
-        return file.load()
+    return xr.load_dataset(path, engine=Reader, group=WALLS)
 
 
 def write(
