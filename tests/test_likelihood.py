@@ -124,6 +124,8 @@ def test_weights_are_the_root_of_the_inverse_covariance(
         rough = some.of_derivatives(samples)
         np.testing.assert_allclose(rough, some(samples), atol=1e-5 * np.abs(rough).max())
         ranges = np.array([[5, 20], [12, count]])
+        none = np.zeros((2, 2), int)
+        assert not np.any(some.energies(samples[None].repeat(2, 0).astype(np.complex64), none))
         given = np.stack([samples, samples[::-1]]).astype(np.complex64)
         found = some.energies(given, ranges)
         for part, (start, stop), energies in zip(given, ranges, found, strict=True):
@@ -234,6 +236,8 @@ def test_echoes_lie_within_their_range_of_samples(lead):
     assert np.all(np.diff(beyond, axis=1) >= 2)
     assert beyond.min() >= 0
     assert beyond.max() <= len(echo)
+    for few in (0, 1, 2):
+        assert np.array_equal(model.base.echo_ranges(np.array([0.4]), 1e-3, 5e-3, few), [[0, few]])
 
 
 @pytest.mark.parametrize("drive", [{"lead": 3e-3}, {"drive": Burst(cycles=60)}])

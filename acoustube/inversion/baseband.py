@@ -207,15 +207,15 @@ class Baseband:
         Returns
         -------
         ndarray
-            Index of the first sample and of the one after the last, at least two apart,
-            (n_places, 2).
+            Index of the first sample and of the one after the last, at least two apart if there
+            are so many samples, (n_places, 2).
         """
         arrival = np.interp(places, self.places, np.arange(len(self.used)))
         first = (arrival - before / self.interval).astype(int)
         late = (self.rangefinder.drive.duration + lasting) / self.interval
         last = np.ceil(arrival + late).astype(int)
-        first = np.clip(first, 0, n - 2)
-        return np.stack([first, np.clip(last, first + 2, n)], axis=1)
+        first = np.clip(first, 0, max(n - 2, 0))
+        return np.stack([first, np.minimum(np.maximum(last, first + 2), n)], axis=1)
 
     def noise(self, n_cycles: int) -> float:
         """Return the noise variance in counts squared of a baseband sample of the mean of cycles.

@@ -84,7 +84,10 @@ def echo(
 
     missing = MOST_MODES - waves.k.shape[-1]
     k, heat = (
-        np.pad(one, [(0, 0)] * (one.ndim - 1) + [(0, missing)]) if missing else one for one in waves
+        np.pad(one, [(0, 0)] * (one.ndim - 1) + [(0, missing)])
+        if missing
+        else np.ascontiguousarray(one)
+        for one in waves
     )
     path = np.exp(-1j * lengths[:, :, None, None] * k[:, None])
     matrices = (_stacked([press[i] for press in before], k.shape[:2]) for i in range(3))

@@ -115,6 +115,7 @@ class Path(Protocol):
         places : ndarray
             Places of the other presses in m, evenly spaced, (n,).
         temperature : float
+            Deviation of the temperature in K.
 
         Returns
         -------

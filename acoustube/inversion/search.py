@@ -178,7 +178,7 @@ class Templates:
                 shape = front.out[:, a] * front.into[:, b] * reflection[:, :, a, b]
                 if a != b:
                     shape = shape + front.out[:, b] * front.into[:, a] * reflection[:, :, b, a]
-                if np.any(shape):
+                if np.any(shape) or not b:  # at least one, of which zeros are possible
                     parts.append((gain * shape, a, b))
             found.append(_Zone(parts, path, front, temperature, field))
         return found, np.array([start for start, _ in places])
@@ -219,11 +219,13 @@ class _Zone:
     ) -> None:  # fmt: skip
         self.path, self.origin, self.warmer, self.field = path, front.place, warmer, field
         self.shapes = np.stack([shape for shape, _, _ in parts], axis=1).astype(np.complex64)
-        self.there, self.back = np.array([modes for _, *modes in parts]).T
+        self.there, self.back = (np.array([part[i] for part in parts]) for i in (1, 2))
         self.nodes, self.level = np.zeros(0), np.zeros((0, 0))
 
     def set_energy(self, base: Baseband, whiten: Weights, places: Array) -> None:
         """Compute the energies of templates at evenly spaced nodes that cover places.
+
+        Nodes begin at the origin at the nearest.
 
         Parameters
         ----------

@@ -61,8 +61,8 @@ class Weights(ABC):
         samples : ndarray
             Signals in single precision, (n, m, n_time).
         ranges : ndarray
-            For each n, the index of the first sample that counts and of the one after the last,
-            (n, 2). The others count as zero.
+            Indices of the first sample that counts and of the one after the last, for each row of
+            signals, (n, 2): from 0 to the number of weights. The other samples count as zero.
         """
 
     @property
@@ -132,7 +132,7 @@ class RankOneWeights(Weights):
             return given * self.scale
         from acoustube.inversion.sample_sums import innovations  # imports Numba
 
-        rows = given.reshape(math.prod(given.shape[:-1]), len(self.scale))
+        rows = np.ascontiguousarray(given).reshape(math.prod(given.shape[:-1]), len(self.scale))
         found = innovations(rows, self.scale, self.shape, *self._recursion)
         return np.asarray(found.reshape(given.shape))
 

@@ -15,7 +15,6 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.limits import reading
 from acoustube.base.foreign.results import check_result
 from acoustube.base.names import PATHS
-from acoustube.base.netcdf_reader import Reader
 
 ORDER = (
     "inner_diameter", "wall_thickness", "shear_modulus", "tube_length", "support", "shape",
@@ -78,7 +77,7 @@ def open_dataset(where: str | Path | Iterable[str | Path], *, verify: bool = Tru
         _check_file(path, dimension, advice, verify=verify)
     with reading(str(paths[0].parent), "cannot be read", advice):
         found = xr.open_mfdataset(
-            paths, engine=Reader, combine="nested", concat_dim=dimension, join="outer",
+            paths, engine="h5netcdf", combine="nested", concat_dim=dimension, join="outer",
             data_vars="minimal", coords="minimal", compat="override",
             combine_attrs="drop_conflicts",
         )  # fmt: skip

@@ -17,7 +17,7 @@ from acoustube.base.foreign.limits import reading
 from acoustube.base.foreign.results import open_result
 from acoustube.base.names import PATH
 from acoustube.base.netcdf import flag, to_netcdf, variable
-from acoustube.base.netcdf_reader import Reader
+from acoustube.base.netcdf_reader import read_group
 from acoustube.base.version import __version__
 from acoustube.waves.scattering import Scattering
 from acoustube.waves.spectral import SpectralScattering
@@ -107,7 +107,7 @@ def recall(name: str) -> StoredScattering | None:
     known = cache.recall(name)
     if known is None:
         return None
-    return from_dataset(xr.load_dataset(BytesIO(known["netcdf"].tobytes()), engine=Reader))
+    return from_dataset(read_group(BytesIO(known["netcdf"].tobytes())))
 
 
 @checked(path=PATH)

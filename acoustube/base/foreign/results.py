@@ -47,13 +47,11 @@ def check_result(path: str | Path, advice: str, failure: str = FAILURE) -> Seal:
 
 def open_result(path: str | Path, advice: str, failure: str = FAILURE) -> xr.Dataset:
     """Check a result file and read it into memory; raise ConfigError as :func:`check_result`."""
-    import xarray as xr
-
-    from acoustube.base.netcdf_reader import Reader
+    from acoustube.base.netcdf_reader import read_group
 
     check_result(path, advice, failure)
     with limits.reading(path, failure, advice):
-        return xr.load_dataset(path, engine=Reader)
+        return read_group(path)
 
 
 def settings_in(text: Any, source: str | Path) -> dict[str, Any]:

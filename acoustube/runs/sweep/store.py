@@ -23,7 +23,7 @@ from acoustube.base.errors import ConfigError, SimulationError
 from acoustube.base.files import check_out, check_writable
 from acoustube.base.foreign.results import check_result
 from acoustube.base.netcdf import Seal, to_netcdf
-from acoustube.base.netcdf_reader import Reader
+from acoustube.base.netcdf_reader import read_group
 from acoustube.base.remnants import ASIDE
 from acoustube.base.version import __version__
 from acoustube.base.writing import DiskFullError
@@ -140,10 +140,8 @@ def intact(path: Path) -> list[str] | None:
 
 def read(path: Path) -> tuple[xr.Dataset, xr.Dataset | None]:
     """Return the cases of a results file, and their common scattering matrix; None without one."""
-    data = xr.load_dataset(path, engine=Reader)
-    if data.attrs["scattering"] != "yes":
-        return data, None
-    return data, xr.load_dataset(path, engine=Reader, group=SCATTERING)
+    data = read_group(path)
+    return data, read_group(path, SCATTERING) if data.attrs["scattering"] == "yes" else None
 
 
 def lacks_scattering(path: Path) -> bool:
@@ -170,7 +168,7 @@ def walls(path: Path) -> xr.Dataset | None:
     with h5py.File(path) as content:
         if WALLS not in content:
             return None
-    return xr.load_dataset(path, engine=Reader, group=WALLS)
+    return read_group(path, WALLS)
 
 
 def write(
