@@ -48,7 +48,7 @@ def simulate(
 ) -> None:
     """Simulate one press and its echo, and estimate its distance from the echo.
 
-    An option that is not given is taken from the file of --config, else from the defaults: the tube
+    An option that is not given is taken from the file of settings, else from the defaults: the tube
     of the sleeve paper, pressed 4 mm deep in its middle by a 25 mm cylinder.
     """
     config = load_config(run.config, **settings_of(tool, sound))
