@@ -41,16 +41,17 @@ def read_group(source: str | Path | BinaryIO, group: str = "/") -> xr.Dataset:
     found = {}
     with h5py.File(source) as file:
         for name, item in file[group].items():
-            attrs = {key: _plain(value) for key, value in item.attrs.items()}
+            attrs = _attributes(item)
             empty = str(attrs.get("NAME", "")).startswith(WITHOUT_VALUES)
             if isinstance(item, h5py.Dataset) and not empty:
                 values = _text(item) if h5py.check_string_dtype(item.dtype) else item[()]
                 found[name] = xr.Variable(_dimensions(file, item, attrs), values, _shown(attrs))
-        attrs = {key: _plain(value) for key, value in file[group].attrs.items()}
-    return xr.decode_cf(xr.Dataset(found, attrs=_shown(attrs)))
+        of_group = _attributes(file[group])
+    return xr.decode_cf(xr.Dataset(found, attrs=_shown(of_group)))
 
 
 def _text(item: h5py.Dataset) -> Any:
+    """Return the texts of a variable as an array of str."""
     return np.asarray(item.asstr(errors="replace")[()], str)
 
 
@@ -65,6 +66,11 @@ def _dimensions(file: h5py.File, item: h5py.Dataset, attrs: dict[str, Any]) -> t
         f"{own}_axis_{i}" if name is None else name.decode().rsplit("/", 1)[-1]
         for i, name in enumerate(names)
     )
+
+
+def _attributes(item: h5py.Dataset | h5py.Group) -> dict[str, Any]:
+    """Return all attributes of a variable or group, those of HDF5 among them."""
+    return {name: _plain(value) for name, value in item.attrs.items()}
 
 
 def _shown(attrs: dict[str, Any]) -> dict[str, Any]:

@@ -89,7 +89,7 @@ class Indenter:
 
     @property
     def halves(self) -> tuple[bool, bool]:
-        """Whether the indenter is its own mirror image about x = 0, and about z = 0."""
+        """Mirror symmetry of the indenter: about x = 0, and about z = 0."""
         if self.shape == "rod":
             return self.yaw == 0, self.yaw == 0 and self.z == 0
         return self.x == 0, self.z == 0

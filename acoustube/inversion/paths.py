@@ -192,8 +192,8 @@ class StraightPath:
     def propagated(self, origin: float, places: Array, temperature: float) -> Complex:
         """Return the modes' factors from `origin` to evenly spaced places (n,), (n, m, n_f).
 
-        They are products of factors to every 32nd place and of factors over up to 31 steps, since
-        exponentials take several times as long as products.
+        They are products of factors to one in :data:`AT_ONCE` places and of factors over fewer
+        steps, since exponentials take several times as long as products.
         """
         k: Complex = (self.k + temperature * self.by_temperature).T
         step = float(places[1] - places[0]) if len(places) > 1 else 0.0

@@ -29,8 +29,8 @@ from acoustube.inversion.tracks import FAINT, Track
 from acoustube.waves.scattering import Complex
 
 PATIENCE, TRIAL = 3, 8
-"""Number of badly fitted cycles in a row above which a second track starts, and number of cycles
-for which it is tried."""
+"""Number of badly fitted cycles in a row above which a second track starts, and number of its
+cycles above which it is given up."""
 BETTER = 5.0
 """Excess of the second track's log likelihood per cycle, a running mean, above which it may replace
 the first."""
@@ -74,7 +74,10 @@ class Tracked:
 
     @property
     def fits(self) -> bool:
-        """Whether the misfit is nan, or at most :data:`acoustube.inversion.estimate.MISFIT`."""
+        """Goodness of fit: true if the misfit is nan, or up to the threshold of a bad fit.
+
+        The threshold is :data:`acoustube.inversion.estimate.MISFIT`.
+        """
         return not self.misfit > MISFIT
 
 
