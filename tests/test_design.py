@@ -674,6 +674,14 @@ def test_presses_apart_are_detected_and_a_faint_one_beside_a_strong_one_less_exa
     assert free.detection[1] > far.detection[1]
 
 
+def test_known_temperature_makes_pairs_more_precise():
+    """As the priors of :func:`information` do."""
+    given = [passing()], pair_contacts(), electronics_of(Rangefinder()), 0.3
+    usual = predict_pairs(*given)
+    known = predict_pairs(*given, priors=Priors(temperature=1e-3, stretch=1e-5))
+    assert np.all(known.place < 0.8 * usual.place)
+
+
 def test_pairs_need_the_transmission_of_the_tube():
     with pytest.raises(ConfigError, match="transmission"):
         predict_pairs([analytic()], pair_contacts(), electronics_of(Rangefinder()), 0.15)

@@ -24,6 +24,7 @@ from acoustube.inversion import (
     Tool,
     Wrap,
     baseband_of,
+    estimate,
     measured_clutter,
     peeling,
 )
@@ -32,12 +33,13 @@ from acoustube.inversion.detection import _limit, limits_along
 from acoustube.inversion.hypotheses import Builder
 from acoustube.inversion.joints import Joined
 from acoustube.inversion.likelihood import deviance_of, echo_of, weights
-from acoustube.inversion.model_error import restricted_deviance
+from acoustube.inversion.model_error import discrepancy, restricted_deviance
 from acoustube.inversion.network import Waves, echo
 from acoustube.inversion.paths import StraightPath
 from acoustube.inversion.posterior import mixture
 from acoustube.inversion.proposals import PlaneFilter
 from acoustube.inversion.quantiser import linearised
+from acoustube.inversion.search import Templates
 from acoustube.inversion.tables import FrontCoefficients, Matrices, ToolTable
 from acoustube.inversion.whitening import RankOneWeights
 from acoustube.ranging import Burst, Chirp, Rangefinder, record
@@ -481,6 +483,50 @@ def test_restricted_deviance_is_that_of_the_marginal_likelihood():
         value = data @ np.linalg.solve(covariance, data)
         expected.append(value + np.linalg.slogdet(covariance)[1])
     assert found[1] - found[0] == pytest.approx(expected[1] - expected[0], rel=1e-4)
+
+
+def test_likeliest_maximum_is_reported_and_others_are_in_the_interval(
+    base, library, untouched, monkeypatch
+):
+    """An error of the model changes an echo as a whole, and hardly distinguishes two maxima.
+
+    The weights with which maxima enter the intervals allow for that. The estimate is the maximum
+    that is most likely without it, even where another one has a larger weight.
+    """
+    cycles = record([press(2e-3, 1.0)], n_cycles=20, tube_seed=7, seed=64)["signal"].values
+    own = Inverter(ForwardModel(library, base, measured_clutter(base, untouched)), most=1)
+    usual = own(cycles).contacts[0].distance
+    assert len(usual.weights) > 2
+    monkeypatch.setattr(
+        estimate, "discrepancy", lambda *given: (off := discrepancy(*given))._replace(
+            level=-off.level
+        )
+    )  # fmt: skip
+    found = own(cycles)
+    turned = found.contacts[0].distance
+    assert turned.value == usual.value
+    assert np.argmax(turned.weights) > 0
+    assert turned.means[np.argmax(turned.weights)] != pytest.approx(turned.value, abs=1e-3)
+
+
+def test_two_maxima_are_distinguished_less_where_the_model_errs(base, library, untouched):
+    """The second set of parameters is half a wavelength off, and not fitted."""
+    model = ForwardModel(library, base, measured_clutter(base, untouched))
+    cycles = record([press(4e-3, 0.6, error=0.05)], n_cycles=20, tube_seed=7, seed=65)
+    builder = Builder(model, [Templates(model, 0)], *base.of_cycles(cycles["signal"].values))
+    one = builder.extended(builder.untouched())[0]
+    other = one.best.copy()
+    other[0] += base.half_wavelength
+    at = np.array([other, one.best])
+    fits = dataclasses.replace(one.fits, parameters=at, cost=np.zeros(2))
+    off = discrepancy(model, dataclasses.replace(one, fits=fits), builder.samples, builder.noise)
+    assert off.likeliest == 1
+    echo = echo_of(model, one.tools, one.best)
+    costs = [
+        deviance_of(model, builder.noise, one.error, echo, 0.0, builder.samples - value)
+        for value in model.baseband(one.tools, at[:, :1], at[:, 1:2], at[:, 2:])[0]
+    ]
+    assert 0 < off.level[0] - off.level[1] < (costs[0] - costs[1]) / 4
 
 
 def test_error_of_the_model_widens_the_intervals_of_depth(base, library, untouched):

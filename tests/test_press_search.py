@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from test_inversion import MODES, RADIUS, tool
 
-from acoustube.inversion import Baseband, ForwardModel, Library
+from acoustube.inversion import Baseband, ForwardModel, Library, search
 from acoustube.inversion.likelihood import weights
+from acoustube.inversion.parameters import CLOSEST
 from acoustube.inversion.peeling import leading_edge
 from acoustube.inversion.search import Templates, apart, exclude, front_of, separate
 from acoustube.ranging import Rangefinder
@@ -46,6 +47,21 @@ def test_press_behind_another_is_the_best_candidate_with_a_right_gain(model):
     total = 2 * np.sum(np.abs(whiten(rest)) ** 2)
     assert found.gain[0] < 1.02 * total
     assert found.gain[0] > 0.8 * total  # multiple reflections between the two are left out
+    assert abs(found.place[0] - SECOND[0]) < 0.5e-3
+    assert abs(found.depth[0] - SECOND[1]) < 0.2e-3
+    assert np.all(np.abs(found.place - FIRST[0]) > CLOSEST)
+    rounded = np.round([found.place / 1e-5, found.depth / 1e-5])
+    assert np.unique(rounded, axis=1).shape == rounded.shape
+
+
+@pytest.mark.parametrize("off", [-9, -5, 5, 9])
+def test_press_beside_a_kept_coarse_place_is_a_candidate(model, monkeypatch, off):
+    """A kept coarse place excludes others up to 30 mm away, and the press may be one of them."""
+    rest = baseband(model, FIRST, SECOND) - baseband(model, FIRST)
+    fronts = front_of(model, (0,), np.array([FIRST[0]]), np.array([FIRST[1]]), np.zeros(6))
+    whiten = weights(model, 1e-4 * np.abs(rest).max() ** 2, 0.0, None)
+    monkeypatch.setattr(search, "apart", lambda gain, *_: [int(np.argmax(gain)) + off])
+    found = Templates(model, 0).search(rest, whiten, fronts)
     assert abs(found.place[0] - SECOND[0]) < 0.5e-3
     assert abs(found.depth[0] - SECOND[1]) < 0.2e-3
 

@@ -247,9 +247,11 @@ class Inverter:
         best = replace(chain[number], fits=near)
         off = discrepancy(self.model, best, builder.samples, builder.noise)
         order = np.argsort(off.level)
+        order = np.array([off.likeliest, *order[order != off.likeliest]])
         best = replace(best, fits=best.fits.at(order))
         chain = [*chain[:number], best, *chain[number + 1 :]]
-        posterior = Posterior(best, Discrepancy(off.level[order], off.deviation[order]))
+        off = Discrepancy(off.level[order], off.deviation[order], 0)
+        posterior = Posterior(best, off)
         contacts = []
         for i, tool in enumerate(best.tools):
             place = best.best[2 * i]

@@ -18,6 +18,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import logsumexp
 
 from acoustube.base.types import Array
 from acoustube.inversion.doubt import LARGEST, SAMPLES
@@ -37,10 +38,13 @@ class Discrepancy(NamedTuple):
         Minus twice the logarithms of the weights of the maxima, up to a constant, (n,).
     deviation : ndarray
         Standard deviations in m of position and depth of each press in turn, (n, 2 n_presses).
+    likeliest : int
+        Index of the maximum that is most likely if the errors of samples are independent.
     """
 
     level: Array
     deviation: Array
+    likeliest: int
 
 
 def discrepancy(
@@ -75,6 +79,7 @@ def discrepancy(
         return restricted_deviance(model, known.fits.parameters, white[:, 0], white[:, 1:], size)
 
     deviance = np.array([restricted(error) for error in ERRORS])
+    likeliest = int(np.argmax(logsumexp(-0.5 * deviance, axis=0)))
     likelihood = np.exp(-0.5 * (deviance - deviance.min(axis=0)))
     error = np.sqrt(np.square(ERRORS) @ likelihood / likelihood.sum(axis=0))
     # The error changes an echo as a whole: it distinguishes maxima less than its samples would.
@@ -87,7 +92,7 @@ def discrepancy(
         own = np.linalg.norm(known.whiten(value - before), axis=1)
         deviation[:, 2 * i : 2 * i + 2] = (error * own)[:, None] / slope[:, 2 * i : 2 * i + 2]
         value = before
-    return Discrepancy(level, np.hypot(deviation, model.priors.offsets(depths)))
+    return Discrepancy(level, np.hypot(deviation, model.priors.offsets(depths)), likeliest)
 
 
 def restricted_deviance(

@@ -18,15 +18,17 @@ from acoustube.inversion.paths import Path, stretches
 from acoustube.inversion.whitening import Weights
 from acoustube.waves.scattering import Complex
 
-COARSE, FINE, FINE_REACH = 3e-3, 0.5e-3, 12e-3
-"""Coarse and fine steps of place in m, and reach of the fine steps to both sides of a place."""
+COARSE, FINE, AROUND = 3e-3, 0.5e-3, 12e-3
+"""Coarse and fine steps of place in m, and half length of the range about a known place, by which
+the fine steps may also leave the range of a search: the phase of an echo decides its place."""
 DEPTH_STEP = 0.125e-3
 """Step in m between the depths of templates."""
 NODES, NODES_BEHIND = 0.05, 0.01
 """Spacing in m of the places at which the energies of templates are computed: where only the plane
 mode travels, and where several modes do, which beat over 2 cm, as behind a press."""
 APART = 0.03
-"""Least distance in m between candidates that count as different places."""
+"""Least distance in m between coarse places that are kept, and reach of the fine steps to both
+sides of each: what a kept place excludes is thus searched in fine steps."""
 DISTINCT = 1.5e-3, 0.5e-3
 """Differences of place and of depth in m: two maxima near a place are separate if one of the two
 differences is larger."""
@@ -107,7 +109,7 @@ class Templates:
         fronts: list[Front],
         *,
         number: int = 6,
-        fine: int = 6,
+        fine: int = 9,
         within: tuple[float, float] | None = None,
         least: float = 0.0,
         temperature: float = 0.0,
@@ -142,20 +144,31 @@ class Templates:
                 zone.set_energy(base, whiten, self.places[here])
                 level = np.abs(zone.correlation(self.places[here]))
                 coarse[:, here] = 2 * (2 * level - zone.energy_at(self.places[here]))
-        exclude(coarse, self.places, [front.place for front in fronts], sought)
+        known = [front.place for front in fronts]
+        exclude(coarse, self.places, known, sought)
         found: list[tuple[float, float, float]] = []
         if coarse.max() > least:
             for best in apart(coarse.max(axis=0), self.places, number):
-                found += self._refined(zones[owner[best]], self.places[best], fine)
+                places = self.places[best] + np.arange(-APART, APART + 1e-9, FINE)
+                found += self._refined(zones[owner[best]], places, known, within, fine)
         return candidates(found)
 
-    def _refined(self, zone: _Zone, place: float, count: int) -> list[tuple[float, float, float]]:
-        """Return gain, place and depth of the highest separate maxima of the gain near a place.
+    def _refined(
+        self,
+        zone: _Zone,
+        places: Array,
+        known: list[float],
+        within: tuple[float, float] | None,
+        count: int,
+    ) -> list[tuple[float, float, float]]:
+        """Return gain, place and depth of the highest separate maxima of the gain at places.
 
-        Unlike in the coarse search, the phase of the echo has to agree.
+        Unlike in the coarse search, the phase of the echo has to agree. `known` are the places of
+        presses already found.
         """
-        places = place + np.arange(-FINE_REACH, FINE_REACH + 1e-9, FINE)
         gain = 2 * (2 * zone.correlation(places).real - zone.energy_at(places))
+        low, high = within or self.model.span
+        exclude(gain, places, known, within_range(places, (low - AROUND, high + AROUND)))
         return separate(gain, places, self.depths, count)
 
     def _zones(
@@ -237,7 +250,7 @@ class _Zone:
         from acoustube.inversion.sample_sums import propagated  # imports Numba
 
         step = NODES_BEHIND if len(self.there) > 1 else NODES
-        low, high = places[0] - FINE_REACH - step, places[-1] + FINE_REACH + 2 * step
+        low, high = places[0] - APART - step, places[-1] + APART + 2 * step
         self.nodes = np.arange(max(low, self.origin), high, step)
         ranges = base.echo_ranges(self.nodes, BEFORE, LASTING, whiten.n_samples)
         modes = self._modes(self.nodes)
@@ -278,7 +291,7 @@ class _Zone:
 
 def around(place: float) -> tuple[float, float]:
     """Return the range in m, about a place, in which the maximum of the gain is sought."""
-    return place - FINE_REACH, place + FINE_REACH
+    return place - AROUND, place + AROUND
 
 
 def within_range(places: Array, limits: tuple[float, float] | None) -> NDArray[np.bool_]:
@@ -326,8 +339,9 @@ def separate(
 
 
 def candidates(found: list[tuple[float, float, float]]) -> Candidates:
-    """Return candidates from tuples of gain, place and depth, the best first."""
-    table = np.array(sorted(found, key=lambda one: -one[0])).reshape(-1, 3)
+    """Return candidates from tuples of gain, place and depth, the best first, each once."""
+    once = {(round(place / FINE), depth): (gain, place, depth) for gain, place, depth in found}
+    table = np.array(sorted(once.values(), key=lambda one: -one[0])).reshape(-1, 3)
     return Candidates(table[:, 0], table[:, 1], table[:, 2])
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from acoustube.air import air_at
-from acoustube.base.checks import TEMPERATURE, Instance, Several, checked
+from acoustube.base.checks import TEMPERATURE, Instance, Optional, Several, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
@@ -56,7 +56,7 @@ class Pairs(NamedTuple):
 @checked(
     tubes=Several(PressedTube, 1), contacts=Contacts, electronics=Instance((Electronics,)),
     separation=Number(1e-3, 100, "m"), modulus=Number(1e-6, 1e6), temperature=TEMPERATURE,
-    hardness=Number(0, 100), model=Number(0, 1.0, "m"),
+    priors=Optional(Priors), hardness=Number(0, 100), model=Number(0, 1.0, "m"),
 )  # fmt: skip
 def predict_pairs(
     tubes: Sequence[PressedTube],
@@ -66,6 +66,7 @@ def predict_pairs(
     *,
     modulus: float = 1.0,
     temperature: float = 20.0,
+    priors: Priors | None = None,
     hardness: float = 0.05,
     model: float = 0.0,
 ) -> Pairs:
@@ -82,7 +83,7 @@ def predict_pairs(
         Scalars.
     separation : float
         Distance between the two presses in m.
-    modulus, temperature, hardness, model
+    modulus, temperature, priors, hardness, model
         See :func:`acoustube.inversion.design.information`.
 
     Raises
@@ -101,7 +102,7 @@ def predict_pairs(
     check_tools(tubes, contacts)
     if any(tube.transmission is None for tube in tubes):
         raise ConfigError("a tube has no transmission; give transmission with its reflection")
-    priors, air = Priors(), air_at(temperature)
+    priors, air = priors or Priors(), air_at(temperature)
     f = tubes[0].frequency
     k = axial_wavenumber(0, 0, f, tubes[0].radius, air)
     heat, faster = by_temperature(f, tubes[0].radius, temperature)

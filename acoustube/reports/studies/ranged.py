@@ -37,7 +37,7 @@ def force_errors(table: xr.Dataset) -> Errors:
 def error_of_deep(table: xr.Dataset) -> float:
     """Return the mean absolute error in cm of the distance of presses deeper than 6.5 mm."""
     off = np.abs(found_distance(table) - table["true_distance"].values)
-    return CM * float(np.nanmean(off[table["depth"].values > DEEP]))
+    return CM * float(np.nanmean(off[table["depth"].values.round(9) > DEEP]))
 
 
 def found_distance(table: xr.Dataset) -> Array:
