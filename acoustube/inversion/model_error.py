@@ -39,7 +39,7 @@ class Discrepancy(NamedTuple):
     deviation : ndarray
         Standard deviations in m of position and depth of each press in turn, (n, 2 n_presses).
     likeliest : int
-        Index of the maximum that is most likely if the errors of samples are independent.
+        Index of the maximum that is most likely if the errors are independent between samples.
     """
 
     level: Array
@@ -58,7 +58,9 @@ def discrepancy(
     wholly along the derivative by position, and also wholly along that by depth. The offsets of the
     priors are added in quadrature. The weights of all maxima are those for one relative error: that
     of the first maximum, up to :data:`acoustube.inversion.doubt.LARGEST`, times the root of
-    :data:`acoustube.inversion.doubt.SAMPLES`.
+    :data:`acoustube.inversion.doubt.SAMPLES`. Such an error hardly distinguishes them, and a
+    maximum that explains the samples far worse may have the largest weight. The likeliest maximum
+    is therefore determined without that factor, with the relative error marginalised.
 
     Parameters
     ----------

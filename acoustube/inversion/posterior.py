@@ -25,7 +25,8 @@ class Estimate:
     Attributes
     ----------
     value : float
-        Value at the most likely maximum: the first mean of the mixture.
+        Value at the most likely maximum: the first mean of the mixture, whose weight need not be
+        the largest.
     deviation : float
         Standard deviation of the posterior.
     intervals : dict of float
