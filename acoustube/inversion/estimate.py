@@ -40,8 +40,8 @@ EXCESS = 2.0
 standard deviations of the latter. The rest counts as unexplained."""
 NEGLIGIBLE = 300.0
 """Excess of the cost (minus twice the log likelihood) of a maximum over the least, above which the
-maximum is left out of the posterior. The posterior allows for up to ten times the power of the
-model's error, so that the weight of such a maximum would be at most exp(-15)."""
+maximum is left out of the posterior. The posterior allows for ten times the power of the model's
+error. With the most likely error, the weight of such a maximum would be exp(-15)."""
 
 
 @dataclass(frozen=True)
@@ -247,11 +247,9 @@ class Inverter:
         best = replace(chain[number], fits=near)
         off = discrepancy(self.model, best, builder.samples, builder.noise)
         order = np.argsort(off.level)
-        order = np.array([off.likeliest, *order[order != off.likeliest]])
         best = replace(best, fits=best.fits.at(order))
         chain = [*chain[:number], best, *chain[number + 1 :]]
-        off = Discrepancy(off.level[order], off.deviation[order], 0)
-        posterior = Posterior(best, off)
+        posterior = Posterior(best, Discrepancy(off.level[order], off.deviation[order]))
         contacts = []
         for i, tool in enumerate(best.tools):
             place = best.best[2 * i]

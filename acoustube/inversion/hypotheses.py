@@ -54,7 +54,7 @@ are then refined further."""
 FIRST_STARTS = 16, 5
 """Number of candidates of a first press that are refined, and number of the best that are refined
 further after `STARTS[0]` iterations. In twelve recordings of single presses, the candidate that led
-to the best maximum was among the first eight."""
+to the best maximum was among the first eight of an earlier search with fewer candidates."""
 FOLLOWED = 2
 """Number of combinations of tool and order along the tube whose model error is estimated."""
 LOUD = 5.0

@@ -38,13 +38,10 @@ class Discrepancy(NamedTuple):
         Minus twice the logarithms of the weights of the maxima, up to a constant, (n,).
     deviation : ndarray
         Standard deviations in m of position and depth of each press in turn, (n, 2 n_presses).
-    likeliest : int
-        Index of the maximum that is most likely if the errors are independent between samples.
     """
 
     level: Array
     deviation: Array
-    likeliest: int
 
 
 def discrepancy(
@@ -59,8 +56,9 @@ def discrepancy(
     priors are added in quadrature. The weights of all maxima are those for one relative error: that
     of the first maximum, up to :data:`acoustube.inversion.doubt.LARGEST`, times the root of
     :data:`acoustube.inversion.doubt.SAMPLES`. Such an error hardly distinguishes them, and a
-    maximum that explains the samples far worse may have the largest weight. The likeliest maximum
-    is therefore determined without that factor, with the relative error marginalised.
+    maximum that explains the samples far worse could have the largest weight. The maximum that is
+    most likely without that factor, with the relative error marginalised, is therefore given the
+    largest weight too.
 
     Parameters
     ----------
@@ -86,6 +84,7 @@ def discrepancy(
     error = np.sqrt(np.square(ERRORS) @ likelihood / likelihood.sum(axis=0))
     # The error changes an echo as a whole: it distinguishes maxima less than its samples would.
     level = restricted(np.sqrt(SAMPLES) * min(float(error[0]), LARGEST))
+    level[likeliest] = np.nextafter(level.min(), -np.inf)
     m = len(known.tools)
     slope = np.linalg.norm(known.whiten(jacobian[:, : 2 * m]), axis=2)
     deviation = np.empty_like(slope)
@@ -94,7 +93,7 @@ def discrepancy(
         own = np.linalg.norm(known.whiten(value - before), axis=1)
         deviation[:, 2 * i : 2 * i + 2] = (error * own)[:, None] / slope[:, 2 * i : 2 * i + 2]
         value = before
-    return Discrepancy(level, np.hypot(deviation, model.priors.offsets(depths)), likeliest)
+    return Discrepancy(level, np.hypot(deviation, model.priors.offsets(depths)))
 
 
 def restricted_deviance(

@@ -25,8 +25,7 @@ class Estimate:
     Attributes
     ----------
     value : float
-        Value at the most likely maximum: the first mean of the mixture, whose weight need not be
-        the largest.
+        Value at the most likely maximum: the first mean of the mixture.
     deviation : float
         Standard deviation of the posterior.
     intervals : dict of float

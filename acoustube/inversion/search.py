@@ -126,7 +126,8 @@ class Templates:
         number, fine : int
             Largest number of places that are kept, and of candidates at each.
         within : (float, float), optional
-            Range of places in m to which the search is limited.
+            Range of places in m to which the coarse search is limited; the fine steps leave it by
+            up to :data:`AROUND`.
         least : float
             Candidates are returned only if the best expected decrease of the cost exceeds this.
         temperature : float
@@ -290,7 +291,7 @@ class _Zone:
 
 
 def around(place: float) -> tuple[float, float]:
-    """Return the range in m, about a place, in which the maximum of the gain is sought."""
+    """Return the range in m, about a place, in which the gain is sought in coarse steps."""
     return place - AROUND, place + AROUND
 
 
@@ -340,7 +341,7 @@ def separate(
 
 def candidates(found: list[tuple[float, float, float]]) -> Candidates:
     """Return candidates from tuples of gain, place and depth, the best first, each once."""
-    once = {(round(place / FINE), depth): (gain, place, depth) for gain, place, depth in found}
+    once = {(round(z / FINE), depth): (gain, z, depth) for gain, z, depth in sorted(found)}
     table = np.array(sorted(once.values(), key=lambda one: -one[0])).reshape(-1, 3)
     return Candidates(table[:, 0], table[:, 1], table[:, 2])
 
