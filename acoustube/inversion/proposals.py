@@ -16,6 +16,7 @@ from acoustube.inversion.likelihood import weights
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.paths import stretches
 from acoustube.inversion.search import (
+    AROUND,
     Candidates,
     Front,
     Templates,
@@ -189,9 +190,10 @@ class Proposals:
         """
         if self.plane.highest(rest, whiten, fronts, within) < WORTH:
             return candidates([])
+        # Few candidates are kept in a cycle: only those next to the best places are sought.
         return self.modal.search(
-            rest, whiten, fronts, number=number + MORE_PLACES, fine=fine, within=within,
-            temperature=temperature,
+            rest, whiten, fronts, number=number + MORE_PLACES, fine=fine, reach=AROUND,
+            within=within, temperature=temperature,
         )  # fmt: skip
 
 

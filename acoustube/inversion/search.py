@@ -27,8 +27,8 @@ NODES, NODES_BEHIND = 0.05, 0.01
 """Spacing in m of the places at which the energies of templates are computed: where only the plane
 mode travels, and where several modes do, which beat over 2 cm, as behind a press."""
 APART = 0.03
-"""Least distance in m between coarse places that are kept, and reach of the fine steps to both
-sides of each: what a kept place excludes is thus searched in fine steps."""
+"""Least distance in m between coarse places that are kept, and usual and largest reach of the fine
+steps to both sides of each: what a kept place excludes is thus searched in fine steps."""
 DISTINCT = 1.5e-3, 0.5e-3
 """Differences of place and of depth in m: two maxima near a place are separate if one of the two
 differences is larger."""
@@ -110,6 +110,7 @@ class Templates:
         *,
         number: int = 6,
         fine: int = 9,
+        reach: float = APART,
         within: tuple[float, float] | None = None,
         least: float = 0.0,
         temperature: float = 0.0,
@@ -125,6 +126,8 @@ class Templates:
             Transmitted waves behind each press already found, in the order of place.
         number, fine : int
             Largest number of places that are kept, and of candidates at each.
+        reach : float
+            Reach in m of the fine steps to both sides of a kept place.
         within : (float, float), optional
             Range of places in m to which the coarse search is limited; the fine steps leave it by
             up to :data:`AROUND`.
@@ -150,7 +153,7 @@ class Templates:
         found: list[tuple[float, float, float]] = []
         if coarse.max() > least:
             for best in apart(coarse.max(axis=0), self.places, number):
-                places = self.places[best] + np.arange(-APART, APART + 1e-9, FINE)
+                places = self.places[best] + np.arange(-reach, reach + 1e-9, FINE)
                 found += self._refined(zones[owner[best]], places, known, within, fine)
         return candidates(found)
 
