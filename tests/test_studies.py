@@ -194,6 +194,14 @@ def test_errors_of_the_distance_leave_out_what_is_not_detected():
     assert found.rmse == pytest.approx(0.04)
 
 
+def test_a_press_of_six_and_a_half_millimetres_is_not_deeper_than_that():
+    """Its depth in m as the sum of steps is larger by a rounding error."""
+    depth = 6.5e-3 + 1e-18
+    assert depth > 6.5e-3
+    cycles = table([(0.5, depth, 0.9), (0.5, 7e-3, 0.51)])
+    assert ranged.error_of_deep(cycles) == pytest.approx(1.0)
+
+
 def test_map_averages_each_press_in_its_bin():
     cycles = table([(0.21, 1e-3, 0.3), (0.24, 1e-3, 0.3), (0.26, 1e-3, 0.3), (0.21, 2e-3, 0.3)])
     places, depths, mean = flat_figures.over_map(cycles, np.array([1.0, 3.0, 7.0, np.nan]))

@@ -18,7 +18,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
 
 from acoustube.base.types import Array
 from acoustube.inversion.doubt import LARGEST, SAMPLES
@@ -79,9 +78,11 @@ def discrepancy(
         return restricted_deviance(model, known.fits.parameters, white[:, 0], white[:, 1:], size)
 
     deviance = np.array([restricted(error) for error in ERRORS])
-    likeliest = int(np.argmax(logsumexp(-0.5 * deviance, axis=0)))
-    likelihood = np.exp(-0.5 * (deviance - deviance.min(axis=0)))
-    error = np.sqrt(np.square(ERRORS) @ likelihood / likelihood.sum(axis=0))
+    least = deviance.min(axis=0)
+    likelihood = np.exp(-0.5 * (deviance - least))
+    marginal = likelihood.sum(axis=0)
+    likeliest = np.argmin(least - 2 * np.log(marginal))
+    error = np.sqrt(np.square(ERRORS) @ likelihood / marginal)
     # The error changes an echo as a whole: it distinguishes maxima less than its samples would.
     level = restricted(np.sqrt(SAMPLES) * min(float(error[0]), LARGEST))
     level[likeliest] = np.nextafter(level.min(), -np.inf)

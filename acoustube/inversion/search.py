@@ -27,8 +27,8 @@ NODES, NODES_BEHIND = 0.05, 0.01
 """Spacing in m of the places at which the energies of templates are computed: where only the plane
 mode travels, and where several modes do, which beat over 2 cm, as behind a press."""
 APART = 0.03
-"""Least distance in m between coarse places that are kept, and usual and largest reach of the fine
-steps to both sides of each: what a kept place excludes is thus searched in fine steps."""
+"""Least distance in m between coarse places that are kept, and usual reach of the fine steps to
+both sides of each: what a kept place excludes is thus searched in fine steps."""
 DISTINCT = 1.5e-3, 0.5e-3
 """Differences of place and of depth in m: two maxima near a place are separate if one of the two
 differences is larger."""
@@ -145,7 +145,7 @@ class Templates:
         for number_of_zone, zone in enumerate(zones):
             here = sought & (owner == number_of_zone)
             if here.any():
-                zone.set_energy(base, whiten, self.places[here])
+                zone.set_energy(base, whiten, self.places[here], reach)
                 level = np.abs(zone.correlation(self.places[here]))
                 coarse[:, here] = 2 * (2 * level - zone.energy_at(self.places[here]))
         known = [front.place for front in fronts]
@@ -239,7 +239,7 @@ class _Zone:
         self.there, self.back = (np.array([part[i] for part in parts]) for i in (1, 2))
         self.nodes, self.level = np.zeros(0), np.zeros((0, 0))
 
-    def set_energy(self, base: Baseband, whiten: Weights, places: Array) -> None:
+    def set_energy(self, base: Baseband, whiten: Weights, places: Array, reach: float) -> None:
         """Compute the energies of templates at evenly spaced nodes that cover places.
 
         Nodes begin at the origin at the nearest.
@@ -250,11 +250,13 @@ class _Zone:
         whiten : Weights
         places : ndarray
             Distances from the face in m, rising, (n_places,).
+        reach : float
+            Distance in m from the places up to which energies are needed.
         """
         from acoustube.inversion.sample_sums import propagated  # imports Numba
 
         step = NODES_BEHIND if len(self.there) > 1 else NODES
-        low, high = places[0] - APART - step, places[-1] + APART + 2 * step
+        low, high = places[0] - reach - step, places[-1] + reach + 2 * step
         self.nodes = np.arange(max(low, self.origin), high, step)
         ranges = base.echo_ranges(self.nodes, BEFORE, LASTING, whiten.n_samples)
         modes = self._modes(self.nodes)
@@ -344,7 +346,7 @@ def separate(
 
 def candidates(found: list[tuple[float, float, float]]) -> Candidates:
     """Return candidates from tuples of gain, place and depth, the best first, each once."""
-    once = {(round(z / FINE), depth): (gain, z, depth) for gain, z, depth in sorted(found)}
+    once = {(round(z, 6), depth): (gain, z, depth) for gain, z, depth in sorted(found)}
     table = np.array(sorted(once.values(), key=lambda one: -one[0])).reshape(-1, 3)
     return Candidates(table[:, 0], table[:, 1], table[:, 2])
 
