@@ -28,7 +28,7 @@ from acoustube.air import air_at
 from acoustube.base import cache
 from acoustube.indentation import DepthPath
 from acoustube.inversion import Priors
-from acoustube.inversion.estimate import MISFIT
+from acoustube.inversion.estimate import good_fit
 from acoustube.lumen import pressed_part
 from acoustube.ranging import Rangefinder, record
 from acoustube.reports.studies.calibration import calibrated
@@ -48,7 +48,7 @@ TOLD = "", "_sd", "_low68", "_high68", "_low", "_high"
 COLUMNS = (
     "truth", "number", "cycles", "presses", *(f"true_{name}" for name, _, _ in QUANTITIES),
     "found", *(name + what for name, _, _ in QUANTITIES for what in TOLD), "n_contacts", "ghosts",
-    "misfit", "error", "residual", "probability", "seconds", "peak_cm", "limit_mm",
+    "misfit", "residual", "error", "probability", "seconds", "peak_cm", "limit_mm",
 )  # fmt: skip
 NEAR = 0.05
 """Largest distance in m between an estimated and a true press that counts as found."""
@@ -177,7 +177,7 @@ def rows(case, how, cycles, found, seconds, peak):
     """Return a row for each true press of a case (number, positions, depths, forces)."""
     number, *true = case
     places = true[0]
-    contacts = [contact for contact, _ in found.contacts]
+    contacts = [one.contact for one in found.contacts]
     given = np.array([contact.distance.value for contact in contacts])
     free, matched = list(range(len(given))), {}
     for i in np.argsort([np.abs(given - z).min(initial=np.inf) for z in places]):
@@ -185,13 +185,13 @@ def rows(case, how, cycles, found, seconds, peak):
         if near:
             matched[i] = min(near, key=lambda j: abs(given[j] - places[i]))
             free.remove(matched[i])
-    best, limit = found.near.best, found.detection_limit(np.array(places))
+    limit = found.detection_limit(np.array(places))
     for i in range(len(places)):
         row = {
             "truth": how, "number": number, "cycles": cycles, "presses": len(places),
             "found": int(i in matched), "n_contacts": len(given), "ghosts": len(free),
-            "misfit": f"{found.misfit:.4g}", "error": best.error,
-            "residual": f"{best.residual:.3g}", "seconds": f"{seconds:.3f}",
+            "misfit": f"{found.misfit:.4g}", "residual": f"{found.residual:.4g}",
+            "error": found.near.best.error, "seconds": f"{seconds:.3f}",
             "peak_cm": f"{100 * peak:.4f}", "limit_mm": f"{1e3 * limit[i]:.4f}",
         }  # fmt: skip
         for (name, _, scale), values in zip(QUANTITIES, true, strict=True):
@@ -207,6 +207,11 @@ def rows(case, how, cycles, found, seconds, peak):
                     for what, value in zip(TOLD, values, strict=True)
                 }
         yield row
+
+
+def unexplained(row):
+    """Return whether the contacts of a row's recording do not explain its echo."""
+    return not good_fit(float(row["misfit"]), float(row["residual"]))
 
 
 def summary(path):
@@ -244,7 +249,7 @@ def together(rows):
         ]
         apart.append(min(np.diff(places)))
         right.append(all(near) and int(one[0]["ghosts"]) == 0)
-        flagged.append(not float(one[0]["misfit"]) <= MISFIT)
+        flagged.append(unexplained(one[0]))
         missed = [row for row in one if row["found"] == "0"]
         hidden = [float(row["true_mm"]) < float(row["limit_mm"]) for row in missed]
         told_of.append(flagged[-1] or (missed != [] and all(hidden)))
@@ -257,8 +262,9 @@ def together(rows):
             print(
                 f"  nearest {100 * low:.0f} to {100 * min(high, 0.6):.0f} cm apart: "
                 f"{right[part].sum()} of {part.sum()} right; of {wrong.sum()} others "
-                f"{flagged[wrong].sum()} have a misfit over {MISFIT}, {told_of[wrong].sum()} that "
-                "or only presses missed that are shallower than the limit of detection told"
+                f"{flagged[wrong].sum()} are flagged by misfit or residual, {told_of[wrong].sum()} "
+                "so or by the limit of detection, where only presses shallower than it are missed; "
+                f"of those right {flagged[part & right].sum()} are flagged"
             )
 
 
@@ -283,8 +289,8 @@ def in_words(part):
                 f"{what} {q[0]:.3f} / {q[1]:.3f} / {q[2]:.2f} {'mm' if scale else '%'}, 68 and "
                 f"90 % intervals hold {held[0]:.0f} and {held[1]:.0f} %"
             )
-    speaks = np.mean([float(row["misfit"]) > MISFIT for row in part if row["misfit"] != "nan"] or 0)
-    words.append(f"misfit over {MISFIT} in {100 * speaks:.0f} %")
+    flagged = np.mean([unexplained(row) for row in part if row["misfit"] != "nan"] or 0)
+    words.append(f"flagged by misfit or residual in {100 * flagged:.0f} %")
     off = 10 * np.abs([float(row["peak_cm"]) - float(row["true_cm"]) for row in part])
     near = off < 1e3 * NEAR
     limit, depth = (

@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acoustube.inversion.estimate import MISFIT
+from acoustube.inversion.estimate import good_fit
 from acoustube.reports.studies import human
 from acoustube.reports.studies.arm import (
     PLACES,
@@ -46,7 +46,7 @@ NEAR = 0.05
 """Largest distance in m between an estimated and a true press that counts as found."""
 COLUMNS = (
     "tube", "level", "true_cm", "true_mm", "true_n", "found", "cm", "cm_low", "cm_high", "mm", "n",
-    "n_low", "n_high", "n_contacts", "misfit", "seconds", "peak_cm",
+    "n_low", "n_high", "n_contacts", "misfit", "residual", "seconds", "peak_cm",
 )  # fmt: skip
 
 
@@ -90,8 +90,8 @@ def summary(path):
                     for row in found
                 ]
                 words.append(f"90 % intervals of {name} hold {100 * np.mean(held):.0f} %")
-        speaks = np.mean([float(row["misfit"]) > MISFIT for row in rows])
-        words.append(f"misfit over {MISFIT} in {speaks:.0%}")
+        poor = [not good_fit(float(row["misfit"]), float(row["residual"])) for row in rows]
+        words.append(f"flagged by misfit or residual in {np.mean(poor):.0%}")
         words.append(
             f"peak: {np.sum(apart < 25)} within 25 cm, median {np.nanmedian(apart):.2f} cm; "
             f"{np.median([float(row['seconds']) for row in rows]):.1f} s"
@@ -135,6 +135,7 @@ def main():
         seconds = time.process_time() - start
         row = dict(zip(COLUMNS, (*key, f"{force:.4f}"), strict=False)) | {
             "found": 0, "n_contacts": len(found.contacts), "misfit": f"{found.misfit:.4g}",
+            "residual": f"{found.residual:.4g}",
             "seconds": f"{seconds:.2f}", "peak_cm": f"{100 * peak:.3f}",
         }  # fmt: skip
         near = min(found.contacts, key=lambda one: abs(one.distance.value - place), default=None)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from commands import run_here
+from scipy.special import ndtr
 from scipy.stats import norm
 
 from acoustube.air import air_at
@@ -30,6 +31,7 @@ from acoustube.inversion import (
 )
 from acoustube.inversion.coupled_network import coupled_echo
 from acoustube.inversion.detection import _limit, limits_along
+from acoustube.inversion.estimate import good_fit
 from acoustube.inversion.hypotheses import ERRORS, Builder
 from acoustube.inversion.joints import Joined
 from acoustube.inversion.likelihood import deviance_of, echo_of, weights
@@ -45,7 +47,8 @@ from acoustube.inversion.whitening import RankOneWeights
 from acoustube.ranging import Burst, Chirp, Rangefinder, record
 from acoustube.recordings import write
 from acoustube.reports.figures.posterior import posterior_figure
-from acoustube.runs.inversion import COLUMNS, RecordingInverter, Sensor, rows_of
+from acoustube.runs.contact_table import COLUMNS, ContactFit, note_warnings, rows_of
+from acoustube.runs.inversion import RecordingInverter, Sensor
 from acoustube.runs.libraries import files
 from acoustube.runs.libraries.plan import tool_plans
 from acoustube.runs.two_ends import EndsContacts
@@ -340,6 +343,15 @@ def test_clutter_is_constant_beyond_the_temperatures_of_its_table(model):
     assert np.allclose(by_place[[0, 4]], by_place[[1, 3]], rtol=1e-5)
     assert np.all(by_temperature[[0, 4]] == 0)
     assert np.all(np.abs(by_temperature[2]) > 0)
+
+
+def test_intervals_of_a_mixture_have_their_probabilities():
+    """Of maxima half a wavelength apart, one of them faint, and of one that is far away."""
+    weight = np.array([0.55, 0.3, 0.1, 0.05])
+    mean, deviation = 0.8 + np.array([0.0, 4e-3, -4e-3, 0.2]), np.array([2e-5, 3e-5, 1e-4, 5e-3])
+    for level, (low, high) in mixture(weight, mean, deviation).intervals.items():
+        for end, below in ((low, (1 - level) / 2), (high, (1 + level) / 2)):
+            assert weight @ ndtr((end - mean) / deviation) == pytest.approx(below, abs=1e-9)
 
 
 def test_density_of_an_estimate_is_that_of_its_mixture_at_values_of_any_shape():
@@ -799,6 +811,29 @@ def test_echo_with_another_late_part_is_a_misfit(inverter):
     assert found[1].contacts[0].distance.value == pytest.approx(0.5, abs=1e-3)
 
 
+@pytest.mark.parametrize(("depth", "place"), [(3e-3, 1.2), (2e-3, 0.9)])
+def test_echo_of_an_undetected_press_is_in_the_residual(inverter, depth, place):
+    """It is a hundredth of the whole echo, which the misfit hardly shows.
+
+    The first press is not sought. The second is too faint to be credited beyond the model's error.
+    """
+    presses = [press(5e-3, 0.5), press(depth, place)]
+    cycles = record(presses, n_cycles=20, tube_seed=7, seed=5)["signal"].values
+    alone = Inverter(inverter.model, most=1)(cycles)
+    assert alone.misfit < 0.02
+    assert not alone.fits
+    both = Inverter(inverter.model, most=2)(cycles)
+    assert both.fits is (len(both.contacts) == 2) is (depth == 3e-3)
+
+
+@pytest.mark.parametrize(
+    ("misfit", "residual", "good"),
+    [(np.nan, 2.4, True), (np.nan, 2.6, False), (0.14, 2.4, True), (0.16, 1.0, False)],
+)
+def test_fit_is_good_up_to_both_thresholds(misfit, residual, good):
+    assert good_fit(misfit, residual) is good
+
+
 def test_tools_are_identified(base, untouched):
     other = tool(diameter=10e-3, s=matrices(np.arange(1e-3, 7.01e-3, 0.1e-3), FREQUENCY[::-1]))
     model = ForwardModel(Library((other, tool())), base, measured_clutter(base, untouched))
@@ -864,7 +899,7 @@ def test_command_writes_a_row_a_contact(folder, tmp_path):
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == [
         "recording", "group", "contact", "probability", "distance_cm", "distance_sd_cm", "depth_mm",
-        "depth_sd_mm", "force_n", "force_sd_n", "indenter_mm", "misfit", "shape",
+        "depth_sd_mm", "force_n", "force_sd_n", "indenter_mm", "misfit", "shape", "residual",
     ]  # fmt: skip
     assert [(row["group"], row["contact"]) for row in rows] == [("0", "0"), ("1", "0")] * 2
     for row, (place, depth) in zip(rows, [(53, 3)] * 2 + [(91, 5)] * 2, strict=True):
@@ -878,7 +913,7 @@ def test_contacts_of_tools_of_one_diameter_differ_in_the_table():
     """In columns that are the same otherwise, down to the misfit."""
     tools = Library((tool(), tool(shape="sphere")))
     one = SimpleNamespace(value=1.0, deviation=0.1)
-    contacts = [(Contact(1.0, one, one, one, tool=i), 0.05) for i in (0, 1)]
+    contacts = [ContactFit(Contact(1.0, one, one, one, tool=i), 0.05, 1.2) for i in (0, 1)]
     first, second = (
         dict(zip(COLUMNS, row, strict=True)) for row in rows_of("p", 0, contacts, tools)
     )
@@ -939,6 +974,20 @@ def test_foreign_recording_or_sensor_is_one_sentence(folder, tmp_path, name, sen
 def test_library_of_tubes_of_two_bores_is_refused():
     with pytest.raises(ValueError, match="one library for each"):
         Library((tool(), dataclasses.replace(tool(), radius=5e-3)))
+
+
+@pytest.mark.parametrize(
+    ("poor", "told"),
+    [
+        ([(0.2, 1.2), (np.nan, 3.14)], ["2 of 5 groups", "misfit up to 0.2, residual up to 3.1"]),
+        ([(np.nan, 2.7)], ["1 of 5 groups", "(residual up to 2.7)"]),
+    ],
+)
+def test_groups_whose_echo_is_not_explained_are_counted(poor, told):
+    """A group without contacts has no misfit."""
+    notes = []
+    note_warnings("p.nc", poor, 5, 2.5, SimpleNamespace(note=notes.append))
+    assert [words in notes[0] for words in told] == [True, True]
 
 
 def test_assumed_length_of_the_tube_is_reported(folder, tmp_path, capsys):

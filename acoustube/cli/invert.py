@@ -116,6 +116,7 @@ def invert(
     far_end.check_pairs(files)
     from acoustube.recordings import read_all
     from acoustube.runs import inversion
+    from acoustube.runs.contact_table import COLUMNS, note_warnings, rows_of
     from acoustube.runs.libraries.files import open_library
     from acoustube.runs.recordings import opened, read_cycles
     from acoustube.runs.two_ends import EndsInverter
@@ -131,16 +132,16 @@ def invert(
     report, failures, n_groups, n_contacts = output.reporter(stderr=out is None), 0, 0, 0
     written: dict[Path, bytes | str] = {}
     with watched_interrupts() as check, opened(out, written) as file:
-        writer, header = csv.writer(file, lineterminator="\n"), [list[object](inversion.COLUMNS)]
+        writer, header = csv.writer(file, lineterminator="\n"), [list[object](COLUMNS)]
         for path, data in read_all(files, **options):
-            table, misfits, count, other = [], [], 0, next(others, None)
+            table, poor, count, other = [], [], 0, next(others, None)
             try:
                 if isinstance(data, ConfigError):
                     raise data
                 with report.progress(check) as show:
                     for group, found in inverter.groups(path, data, other, search.group, check):
-                        table += inversion.rows_of(path, group, found.contacts, known)
-                        misfits += [] if found.fits else [found.misfit]
+                        table += rows_of(path, group, found.contacts, known)
+                        poor += [] if found.fits else [(found.misfit, found.residual)]
                         wanted.add(path, group, found)
                         show(path.name, count := count + 1, -(-data.sizes["cycle"] // search.group))
             except (ConfigError, ValueError) as error:
@@ -151,7 +152,7 @@ def invert(
             wanted.keep()
             writer.writerows([*header, *table])
             header.clear()
-            inversion.note_warnings(path, misfits, count, near.length(data), report)
+            note_warnings(path, poor, count, near.length(data), report)
             n_groups, n_contacts = n_groups + count, n_contacts + len(table)
         if failures and not n_groups:
             raise ConfigError("no file could be inverted, and nothing was written; see above")

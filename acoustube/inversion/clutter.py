@@ -80,9 +80,10 @@ class Clutter:
         n_t, n_z, _ = self.behind.shape
         columns = np.clip(place / CELL, 0, n_z - 1.000001)
         rows = np.clip((temperature + WARM) / WARM_STEP, 0, n_t - 1.000001)
-        value, by_column, by_row = between(self.behind, self.warmer_by_row, rows, columns)
-        inside = np.abs(temperature) <= WARM
-        return value, by_column / CELL, by_row / WARM_STEP * inside[:, None]
+        slopes = self.warmer_by_row
+        value, by_place, warm = between(self.behind, slopes, rows, columns, WARM_STEP, CELL)
+        warm[np.abs(temperature) > WARM] = 0.0
+        return value, by_place, warm
 
     @cached_property
     def covariance(self) -> Complex:

@@ -32,6 +32,11 @@ SAME_PLACE = 0.03
 MISFIT = 0.15
 """Relative error of the forward model above which the tube, the tool, the sensor or the number of
 contacts is reported to differ from the model."""
+WINDOW, RESIDUAL = 2e-3, 2.5
+"""Duration in s of the parts of the echo whose whitened residual is tested, and mean square of such
+a part above which the contacts do not explain it. Where they do, the mean square of the 24 samples
+in 12 kHz is 1 with a standard deviation of 0.2; the rest of the threshold is for errors of the
+model that last for a part of the echo."""
 GOOD = 0.05
 """Relative error of the model up to which a hypothesis is good, so that no other of equally many
 presses is followed."""
@@ -80,8 +85,9 @@ class Inversion:
         error with the highest evidence (:attr:`.Hypothesis.error`), and the unexplained fraction of
         the echo. The latter is the root of the energy of the residual beyond that of the noise and
         two of its standard deviations, relative to the energy of the echo.
-    fits : bool
-        Whether the misfit is at most :data:`MISFIT`, or nan.
+    residual : float
+        Largest mean square of the whitened residual in any :data:`WINDOW`: between 1 and 2 if the
+        contacts explain the echo with the noise and the model's error that are assumed.
     temperature, gain, stretch : Estimate
         Difference of the air's temperature from the model's in K, logarithm of the gain relative to
         the model's, and relative change of the frequency at which the presses' scattering is taken.
@@ -104,7 +110,7 @@ class Inversion:
 
     contacts: list[Contact]
     misfit: float
-    fits: bool
+    residual: float
     temperature: Estimate
     gain: Estimate
     stretch: Estimate
@@ -116,6 +122,11 @@ class Inversion:
     noise: float
     model: ForwardModel
     most: int
+
+    @property
+    def fits(self) -> bool:
+        """Goodness of fit: see :func:`good_fit`."""
+        return good_fit(self.misfit, self.residual)
 
     @property
     def best(self) -> Hypothesis:
@@ -279,7 +290,8 @@ class Inverter:
             misfit = max(_unexplained(measured, explained, builder), best.error)
         base = self.model.base
         return Inversion(
-            contacts=contacts, misfit=misfit, fits=not misfit > MISFIT, hypotheses=chain,
+            contacts=contacts, misfit=misfit,
+            residual=_largest_residual(measured - explained, best, builder), hypotheses=chain,
             number={i: float(p) for i, p in enumerate(probability)},
             place=base.places, measured=measured, explained=explained, noise=builder.noise,
             model=self.model, most=self.most,
@@ -292,6 +304,28 @@ class Inverter:
         untouched = self.model.without_presses(nuisances)[0]
         value = self.model.baseband(best.tools, places, depths, nuisances)[0][0]
         return builder.samples - untouched, value - untouched
+
+
+def good_fit(misfit: float, residual: float) -> bool:
+    """Return whether contacts explain an echo: neither value is above its threshold.
+
+    A misfit that is nan, without contacts, counts as none. Where the function returns false, the
+    tube, the tools, the sensor or the number of contacts may differ from the model's.
+
+    Parameters
+    ----------
+    misfit, residual : float
+        See :class:`Inversion`; the thresholds are :data:`MISFIT` and :data:`RESIDUAL`.
+    """
+    return not (misfit > MISFIT or residual > RESIDUAL)
+
+
+def _largest_residual(rest: Complex, best: Hypothesis, builder: Builder) -> float:
+    """Return the largest mean square of the whitened residual `rest` in any :data:`WINDOW`."""
+    base = builder.model.base
+    power = np.abs(best.whiten(rest)) ** 2 / base.freedom
+    length = min(max(round(WINDOW / base.interval), 1), len(power))
+    return float(np.convolve(power, np.full(length, 1 / length), "valid").max())
 
 
 def _unexplained(measured: Complex, explained: Complex, builder: Builder) -> float:

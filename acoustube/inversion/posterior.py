@@ -8,7 +8,7 @@ from math import pi
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtri
 
 from acoustube.base.types import Array
 from acoustube.inversion.hypotheses import Hypothesis
@@ -16,6 +16,10 @@ from acoustube.inversion.model_error import Discrepancy
 
 LEVELS = 0.68, 0.9
 """Probabilities of the central intervals that are reported."""
+TAILS = np.array([(1 + sign * level) / 2 for level in LEVELS for sign in (-1, 1)])
+NORMAL = ndtri(TAILS)
+"""Probabilities below the ends of these intervals, and ends of those of the standard normal
+distribution."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,13 +128,8 @@ def mixture(weight: Array, mean: Array, deviation: Array) -> Estimate:
         return Estimate(value, spread, ends, weight, mean, deviation)
     middle = float(weight @ mean)
     spread = float(np.sqrt(weight @ (deviation**2 + (mean - middle) ** 2)))
-    grid = np.sort(np.concatenate([mean + d * deviation for d in np.linspace(-5, 5, 201)]))
-    below = ndtr((grid[:, None] - mean) / deviation) @ weight
-    ends = {
-        level: (
-            float(np.interp((1 - level) / 2, below, grid)),
-            float(np.interp((1 + level) / 2, below, grid)),
-        )
-        for level in LEVELS
-    }
+    from acoustube.inversion.mixture_quantiles import quantiles  # imports Numba
+
+    found = quantiles(TAILS, NORMAL, *(np.ascontiguousarray(x) for x in (weight, mean, deviation)))
+    ends = {level: (float(found[2 * i]), float(found[2 * i + 1])) for i, level in enumerate(LEVELS)}
     return Estimate(float(mean[0]), spread, ends, weight, mean, deviation)

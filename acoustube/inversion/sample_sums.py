@@ -114,13 +114,12 @@ def innovations(
         ``s_(k-1)`` and ``sqrt(s_(k-1) / s_k)``, both (n,).
     """
     rows, n = len(samples), len(scale)
-    found = np.empty((rows, n), np.complex128)
+    found, shares = np.empty((rows, n), np.complex128), 1 / before
     for a in range(rows):
         along, across = 0.0, 0.0
         for k in range(n):
             x, y = scale[k] * samples[a, k].real, scale[k] * samples[a, k].imag
-            u, v = shape[k].real, shape[k].imag
-            share = 1 / before[k]
+            u, v, share = shape[k].real, shape[k].imag, shares[k]
             found[a, k] = complex(
                 gain[k] * (x - share * (u * along - v * across)),
                 gain[k] * (y - share * (u * across + v * along)),

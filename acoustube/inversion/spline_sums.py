@@ -88,19 +88,26 @@ def sums(
 
 @numba.njit(**OPTIONS)
 def between(
-    values: NDArray[np.complex64], slopes: NDArray[np.complex64], rows: Array, columns: Array
+    values: NDArray[np.complex64],
+    slopes: NDArray[np.complex64],
+    rows: Array,
+    columns: Array,
+    row_step: float,
+    column_step: float,
 ) -> Complex:
     """Return values of an evenly spaced table, and derivatives by column and by row, (3, n, n_f).
 
     The interpolation is cubic Hermite over the rows and linear over the columns. Positions are in
-    steps, and derivatives are per step.
+    steps.
 
     Parameters
     ----------
     values, slopes : ndarray
-        Values at the nodes, and their derivatives by row, (n_rows, n_columns, n_f).
+        Values at the nodes, and their derivatives per step between rows, (n_rows, n_columns, n_f).
     rows, columns : ndarray
         Positions to interpolate to, (n,): from 0 to less than n_rows - 1 and n_columns - 1.
+    row_step, column_step : float
+        Steps of the table, by which the derivatives are divided.
     """
     n_f = values.shape[2]
     found = np.empty((3, len(rows), n_f), np.complex128)
@@ -109,7 +116,8 @@ def between(
         x, z = rows[a] - i, columns[a] - j
         y = 1 - x
         h0, h1, h2, h3 = (1 + 2 * x) * y**2, x**2 * (1 + 2 * y), x * y**2, -(x**2) * y
-        g1, g2, g3 = 6 * x * y, y * (1 - 3 * x), x * (3 * x - 2)
+        g1, g2, g3 = 6 * x * y / row_step, y * (1 - 3 * x) / row_step, x * (3 * x - 2) / row_step
+        c0, c1, c2, c3 = h0 / column_step, h1 / column_step, h2 / column_step, h3 / column_step
         for f in range(n_f):
             low, high = values[i, j, f], values[i + 1, j, f]
             low_step = values[i, j + 1, f] - low
@@ -117,7 +125,7 @@ def between(
             rate, late = slopes[i, j, f], slopes[i + 1, j, f]
             rate_step = slopes[i, j + 1, f] - rate
             late_step = slopes[i + 1, j + 1, f] - late
-            found[1, a, f] = h0 * low_step + h1 * high_step + h2 * rate_step + h3 * late_step
+            found[1, a, f] = c0 * low_step + c1 * high_step + c2 * rate_step + c3 * late_step
             low, high = low + z * low_step, high + z * high_step
             rate, late = rate + z * rate_step, late + z * late_step
             found[0, a, f] = h0 * low + h1 * high + h2 * rate + h3 * late

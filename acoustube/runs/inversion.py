@@ -13,12 +13,10 @@ import xarray as xr
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.foreign.results import settings_in
-from acoustube.base.report import Reporter
 from acoustube.base.rules import Number, nearest
-from acoustube.base.units import CM, MM, PERCENT
+from acoustube.base.units import CM
 from acoustube.inversion import (
     Baseband,
-    Contact,
     ForwardModel,
     Inversion,
     Inverter,
@@ -36,14 +34,6 @@ from acoustube.runs.sensor_file import sensor_document, young_modulus
 from acoustube.runs.sweep.dataset import rangefinder_in
 from acoustube.runs.wrap import read_wrap
 
-CONTACT_COLUMNS = (
-    "probability", "distance_cm", "distance_sd_cm", "depth_mm", "depth_sd_mm", "force_n",
-    "force_sd_n", "indenter_mm", "misfit", "shape",
-)  # fmt: skip
-"""Columns of a contact in tables: ``sd`` is a standard deviation, ``misfit`` the relative error of
-the forward model."""
-COLUMNS = ("recording", "group", "contact", *CONTACT_COLUMNS)
-"""Columns of the table of contacts of recordings."""
 USUAL_LENGTH = 2.5
 """Tube length in m, assumed where neither the sensor's file nor the recording states one."""
 SAME_AIR = 0.25
@@ -330,47 +320,3 @@ class RecordingInverter:
             groups[-1].append((cycles, air))
         joined = [[np.concatenate(part) for part in zip(*group, strict=True)] for group in groups]
         return [(cycles, float(np.mean(air))) for cycles, air in joined]
-
-
-def rows_of(
-    path: Path, group: int, contacts: Sequence[tuple[Contact, float]], library: Library
-) -> list[list[object]]:
-    """Return a row of :data:`COLUMNS` for each pair of contact and misfit of a group.
-
-    Contacts are numbered from 0.
-    """
-    return [
-        [str(path), group, number, *contact_cells(contact, misfit, library)]
-        for number, (contact, misfit) in enumerate(contacts)
-    ]
-
-
-def contact_cells(contact: Contact, misfit: float, library: Library) -> list[str]:
-    """Return the cells of :data:`CONTACT_COLUMNS` for a contact and a misfit."""
-    estimates = (contact.distance, CM), (contact.depth, MM), (contact.force, 1.0)
-    values = [
-        f"{scale * value:.6g}" for one, scale in estimates for value in (one.value, one.deviation)
-    ]
-    tool = library.tools[contact.tool]
-    diameter = f"{MM * tool.diameter:g}"
-    return [f"{contact.probability:.4f}", *values, diameter, f"{misfit:.4g}", tool.shape]
-
-
-def note_warnings(
-    path: Path, misfits: Sequence[float], n_groups: int, length: float | None, report: Reporter
-) -> None:
-    """Report the groups that do not fit, given their misfits, and an assumed tube length.
-
-    `length` is the stated length of the tube in m; None if it was assumed.
-    """
-    if misfits:
-        report.note(
-            f"{path}: in {len(misfits)} of {n_groups} groups the echo differs from the library's "
-            f"by {PERCENT * min(misfits):.0f} to {PERCENT * max(misfits):.0f} %; tube, indenters, "
-            "sensor or number of contacts are not those stated, or a force is beyond the library's"
-        )
-    if length is None:
-        report.note(
-            f"{path}: nothing states the length of the tube, and {CM * USUAL_LENGTH:g} cm is "
-            "assumed; state length_cm in the file of the sensor"
-        )

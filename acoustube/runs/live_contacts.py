@@ -22,14 +22,8 @@ from acoustube.inversion import (
 from acoustube.inversion.model import check_band
 from acoustube.ranging import Rangefinder
 from acoustube.recordings.echotube_stream import PULSE_WIDTH_BYTES
-from acoustube.runs.inversion import (
-    BAND_ADVICE,
-    CONTACT_COLUMNS,
-    USUAL_LENGTH,
-    Sensor,
-    contact_cells,
-    read_sensor,
-)
+from acoustube.runs.contact_table import CONTACT_COLUMNS, contact_cells
+from acoustube.runs.inversion import BAND_ADVICE, USUAL_LENGTH, Sensor, read_sensor
 from acoustube.runs.libraries.files import open_library
 
 COLUMNS = ("cycle", "received_s", "contact", *CONTACT_COLUMNS)

@@ -14,14 +14,16 @@ from numpy.typing import ArrayLike
 from acoustube.base.errors import ConfigError, about
 from acoustube.base.types import Array
 from acoustube.base.units import CM, MM
-from acoustube.inversion import Contact, Inversion, Library, joined_contacts
+from acoustube.inversion import Inversion, Library, joined_contacts
 from acoustube.inversion.detection import limits_along
-from acoustube.inversion.estimate import MISFIT
+from acoustube.inversion.estimate import MISFIT, RESIDUAL, good_fit
 from acoustube.inversion.parameters import CLOSEST
+from acoustube.runs.contact_table import ContactFit
 from acoustube.runs.inversion import RecordingInverter
 
 LIMIT_COLUMNS = (
     "recording", "group", "distance_cm", "shape", "indenter_mm", "depth_mm", "force_n", "misfit",
+    "residual",
 )  # fmt: skip
 """Columns of the table of limits of detection, by position and tool."""
 
@@ -31,31 +33,35 @@ class EndsContacts(NamedTuple):
 
     Attributes
     ----------
-    contacts : list of (Contact, float)
-        Contacts, at distances from the near end, each with the smaller misfit of the ends that
-        detect it. The misfit is 1 or more where both ends detect the contact but contradict each
-        other in position or depth.
-    misfit : float
-        With one end the misfit of `near`. With two ends the largest misfit of a contact; nan
-        without contacts.
-    fits : bool
-        True if the misfit is nan or at most :data:`acoustube.inversion.estimate.MISFIT`.
+    contacts : list of ContactFit
+        Contacts, at distances from the near end, each with misfit and residual of that end that
+        explains its echo better, of those that detect it. The misfit is 1 or more where both ends
+        detect the contact but contradict each other in position or depth.
+    misfit, residual : float
+        With one end those of `near`. With two ends the largest misfit and the largest residual of a
+        contact; without contacts nan and the larger residual of both ends.
     near : Inversion
         Inversion from the near end alone.
     far : (Inversion, float) or None
         Inversion from the far end alone, and the tube's length in m; None if there is only one end.
     """
 
-    contacts: list[tuple[Contact, float]]
+    contacts: list[ContactFit]
     misfit: float
-    fits: bool
+    residual: float
     near: Inversion
     far: tuple[Inversion, float] | None = None
 
     @classmethod
     def of_one_end(cls, near: Inversion) -> EndsContacts:
         """Return the contacts of an inversion from one end."""
-        return cls([(one, near.misfit) for one in near.contacts], near.misfit, near.fits, near)
+        fit = near.misfit, near.residual
+        return cls([ContactFit(one, *fit) for one in near.contacts], *fit, near)
+
+    @property
+    def fits(self) -> bool:
+        """Goodness of fit: see :func:`acoustube.inversion.estimate.good_fit`."""
+        return good_fit(self.misfit, self.residual)
 
     @property
     def span(self) -> tuple[float, float]:
@@ -80,8 +86,8 @@ class EndsContacts(NamedTuple):
         ends = [(self.near, at), (far, length - at)]
         explained = [end for end in ends if end[0].fits] or ends
         found = np.fmin.reduce([one.detection_limit(z, tool) for one, z in explained])
-        for contact, _ in self.contacts:
-            found[np.abs(at - contact.distance.value) <= CLOSEST] = np.nan
+        for one in self.contacts:
+            found[np.abs(at - one.contact.distance.value) <= CLOSEST] = np.nan
         return np.asarray(found)
 
 
@@ -150,14 +156,16 @@ class EndsInverter:
     def _joined(self, near: Inversion, far: Inversion, length: float) -> EndsContacts:
         """Return the contacts that one end or both detect, in a tube of a length in m."""
         known = self.near.tool_library, self.near.sensor.priors
-        pairs = []
+        found = []
         for one in joined_contacts(near.contacts, far.contacts, length, *known):
             ends = [end for end, i in ((near, one.near), (far, one.far)) if i is not None]
-            misfits = [end.misfit for end in ends]
+            best = min(ends, key=lambda end: max(end.misfit / MISFIT, end.residual / RESIDUAL))
             # Where the ends contradict each other, the contact counts as unexplained.
-            pairs.append((one.contact, min(misfits) if one.agree else max(1.0, *misfits)))
-        misfit = max((value for _, value in pairs), default=float("nan"))
-        return EndsContacts(pairs, misfit, not misfit > MISFIT, near, (far, length))
+            misfit = best.misfit if one.agree else max(1.0, *(end.misfit for end in ends))
+            found.append(ContactFit(one.contact, misfit, best.residual))
+        misfit = max((one.misfit for one in found), default=float("nan"))
+        residual = max(one.residual for one in found or (near, far))
+        return EndsContacts(found, misfit, residual, near, (far, length))
 
 
 def limit_rows(path: Path, group: int, found: EndsContacts, library: Library) -> list[list[object]]:
@@ -187,7 +195,8 @@ def limit_rows(path: Path, group: int, found: EndsContacts, library: Library) ->
         forces[known] = tool.force_at(depths[known])
         start, kind = [str(path), group], [tool.shape, f"{MM * tool.diameter:g}"]
         rows += [
-            [*start, f"{CM * place:.6g}", *kind, f"{MM * d:.4g}", f"{f:.4g}", f"{found.misfit:.4g}"]
+            [*start, f"{CM * place:.6g}", *kind, f"{MM * d:.4g}", f"{f:.4g}", f"{found.misfit:.4g}",
+             f"{found.residual:.3g}"]
             for place, d, f in zip(places, depths, forces, strict=True)
             if not np.isnan(d)
         ]  # fmt: skip

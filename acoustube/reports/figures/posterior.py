@@ -35,7 +35,7 @@ def posterior_figure(found: EndsContacts, library: Library) -> Figure:
         The library of the inversion.
     """
     ends = 1 if found.far is None else 2
-    contacts = [contact for contact, _ in found.contacts]
+    contacts = [one.contact for one in found.contacts]
     above, rows = ends + 1, len(contacts)
     sheet = Figure(figsize=(9.0, 2.2 + 3.2 * ends + 2.2 * rows), layout="constrained")
     grid = sheet.add_gridspec(
@@ -73,14 +73,15 @@ def _draw_echo(
     face = "near face" if of_end else "face"
     axes.set_xlabel(f"distance from the {face}, by the delay (cm)")
     axes.set_ylabel("echo without clutter (counts)")
-    words = f"{counted(len(end.contacts), 'contact')}, misfit {end.misfit:.3g}"
-    axes.set_title((words if end.contacts else "no contact") + of_end, fontsize=10)
+    number = counted(len(end.contacts), "contact") if end.contacts else "no contact"
+    words = [number, *([f"misfit {end.misfit:.2g}"] if end.contacts else [])]
+    axes.set_title(", ".join([*words, f"residual {end.residual:.2g}"]) + of_end, fontsize=10)
     axes.legend(fontsize=8)
 
 
 def _draw_limit(axes: Axes, found: EndsContacts, library: Library) -> None:
     """Draw the contacts' depths, and the limit of detection of a further contact."""
-    contacts = [contact for contact, _ in found.contacts]
+    contacts = [one.contact for one in found.contacts]
     tool = contacts[0].tool if contacts else 0
     deepest = MM * max(one.depth[-1] for one in library.tools)
     places, depths = limits_along(partial(found.detection_limit, tool=tool), found.span)
