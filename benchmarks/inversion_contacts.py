@@ -28,7 +28,7 @@ from acoustube.air import air_at
 from acoustube.base import cache
 from acoustube.indentation import DepthPath
 from acoustube.inversion import Priors
-from acoustube.inversion.estimate import good_fit
+from acoustube.inversion.goodness import MISFIT, RESIDUAL, good_fit
 from acoustube.lumen import pressed_part
 from acoustube.ranging import Rangefinder, record
 from acoustube.reports.studies.calibration import calibrated
@@ -48,7 +48,7 @@ TOLD = "", "_sd", "_low68", "_high68", "_low", "_high"
 COLUMNS = (
     "truth", "number", "cycles", "presses", *(f"true_{name}" for name, _, _ in QUANTITIES),
     "found", *(name + what for name, _, _ in QUANTITIES for what in TOLD), "n_contacts", "ghosts",
-    "misfit", "residual", "error", "probability", "seconds", "peak_cm", "limit_mm",
+    "misfit", "residual", "mean_square", "error", "probability", "seconds", "peak_cm", "limit_mm",
 )  # fmt: skip
 NEAR = 0.05
 """Largest distance in m between an estimated and a true press that counts as found."""
@@ -191,7 +191,8 @@ def rows(case, how, cycles, found, seconds, peak):
             "truth": how, "number": number, "cycles": cycles, "presses": len(places),
             "found": int(i in matched), "n_contacts": len(given), "ghosts": len(free),
             "misfit": f"{found.misfit:.4g}", "residual": f"{found.residual:.4g}",
-            "error": found.near.best.error, "seconds": f"{seconds:.3f}",
+            "mean_square": f"{found.near.best.mean_square:.3g}", "error": found.near.best.error,
+            "seconds": f"{seconds:.3f}",
             "peak_cm": f"{100 * peak:.4f}", "limit_mm": f"{1e3 * limit[i]:.4f}",
         }  # fmt: skip
         for (name, _, scale), values in zip(QUANTITIES, true, strict=True):
@@ -238,7 +239,7 @@ def together(rows):
     told = {}
     for row in rows:
         told.setdefault(row["number"], []).append(row)
-    apart, right, flagged, told_of = [], [], [], []
+    apart, right, flagged, told_of, poor = [], [], [], [], []
     for one in told.values():
         places = sorted(float(row["true_cm"]) / 100 for row in one)
         near = [
@@ -250,11 +251,12 @@ def together(rows):
         apart.append(min(np.diff(places)))
         right.append(all(near) and int(one[0]["ghosts"]) == 0)
         flagged.append(unexplained(one[0]))
+        poor.append(float(one[0]["misfit"]) > MISFIT)
         missed = [row for row in one if row["found"] == "0"]
         hidden = [float(row["true_mm"]) < float(row["limit_mm"]) for row in missed]
         told_of.append(flagged[-1] or (missed != [] and all(hidden)))
     apart, right, flagged = np.array(apart), np.array(right), np.array(flagged)
-    told_of = np.array(told_of)
+    told_of, poor = np.array(told_of), np.array(poor)
     for low, high in ((0.0, 0.1), (0.1, 0.2), (0.1, 9.0), (0.2, 9.0)):
         part = (apart >= low) & (apart < high)
         if part.any():
@@ -262,9 +264,10 @@ def together(rows):
             print(
                 f"  nearest {100 * low:.0f} to {100 * min(high, 0.6):.0f} cm apart: "
                 f"{right[part].sum()} of {part.sum()} right; of {wrong.sum()} others "
-                f"{flagged[wrong].sum()} are flagged by misfit or residual, {told_of[wrong].sum()} "
-                "so or by the limit of detection, where only presses shallower than it are missed; "
-                f"of those right {flagged[part & right].sum()} are flagged"
+                f"{poor[wrong].sum()} have a misfit over {MISFIT}, {flagged[wrong].sum()} that or "
+                f"a residual over {RESIDUAL}, {told_of[wrong].sum()} one of these or only presses "
+                "missed that are shallower than the limit of detection told; of those right "
+                f"{flagged[part & right].sum()} are flagged by misfit or residual"
             )
 
 
@@ -289,7 +292,7 @@ def in_words(part):
                 f"{what} {q[0]:.3f} / {q[1]:.3f} / {q[2]:.2f} {'mm' if scale else '%'}, 68 and "
                 f"90 % intervals hold {held[0]:.0f} and {held[1]:.0f} %"
             )
-    flagged = np.mean([unexplained(row) for row in part if row["misfit"] != "nan"] or 0)
+    flagged = np.mean([unexplained(row) for row in part])
     words.append(f"flagged by misfit or residual in {100 * flagged:.0f} %")
     off = 10 * np.abs([float(row["peak_cm"]) - float(row["true_cm"]) for row in part])
     near = off < 1e3 * NEAR

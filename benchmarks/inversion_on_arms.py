@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acoustube.inversion.estimate import good_fit
+from acoustube.inversion.goodness import good_fit
 from acoustube.reports.studies import human
 from acoustube.reports.studies.arm import (
     PLACES,
@@ -115,6 +115,9 @@ def main():
     if not given.out.is_file():
         given.out.write_text(",".join(COLUMNS) + "\n")
     with given.out.open(newline="") as file:
+        if tuple(next(csv.reader(file), ())) != COLUMNS:
+            raise SystemExit(f"{given.out} has other columns; name a new file")
+        file.seek(0)
         there = {tuple(row[name] for name in COLUMNS[:4]) for row in csv.DictReader(file)}
     bends = {}
     recordings = mannequin(presses) if given.study == "mannequin" else human_arm(presses)

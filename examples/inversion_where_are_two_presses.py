@@ -81,7 +81,7 @@ for contact in found.contacts:
         f"{contact.force.value:.2f} ± {contact.force.deviation:.2f} N, "
         f"probability {contact.probability:.3f}"
     )
-print(f"misfit {found.misfit:.3g}")
+print(f"misfit {found.misfit:.3g}, residual {found.residual:.3g}: explained {found.fits}")
 
 # %%
 # The highest echo

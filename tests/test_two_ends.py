@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ from acoustube.reports.figures.posterior import posterior_figure
 from acoustube.runs.contact_table import ContactFit
 from acoustube.runs.libraries import files
 from acoustube.runs.libraries.plan import tool_plans
-from acoustube.runs.two_ends import EndsContacts
+from acoustube.runs.two_ends import EndsContacts, EndsInverter
 
 LENGTH = 1.6
 
@@ -161,6 +162,32 @@ def test_contacts_are_joined_with_their_nearest():
     far = [contact([LENGTH - 0.955] * 2, [3e-3, 3e-3], (1e-3, 1e-4))]
     found = joined_contacts(near, far, LENGTH, Library((tool(),)), Priors())
     assert [(one.near, one.far) for one in found] == [(0, None), (1, 0)]
+
+
+@pytest.mark.parametrize(
+    ("near", "far", "told", "whole"),
+    [
+        # The far end explains its echo better. The near one reports all contacts, with a residual.
+        ([0.5], [0.5], [(0.1, 1.5)], 3.0),
+        # The residual of the near end is due to the contact that the far end alone detects.
+        ([0.5], [0.5, 1.1], [(0.1, 1.5), (0.1, 1.5)], 1.5),
+        ([], [], [], 3.0),
+    ],
+)
+def test_contact_has_the_fit_of_the_better_end(near, far, told, whole):
+    known = SimpleNamespace(
+        tool_library=Library((tool(),)), sensor=SimpleNamespace(priors=Priors())
+    )
+    one, other = (
+        SimpleNamespace(misfit=misfit, residual=residual, contacts=[
+            contact([z, z], [3e-3, 3e-3], (1e-3, 1e-4)) for z in places
+        ])
+        for places, misfit, residual in
+        ((near, 0.05, 3.0), ([LENGTH - z for z in far[::-1]], 0.1, 1.5))
+    )  # fmt: skip
+    found = EndsInverter(known)._joined(one, other, LENGTH)
+    assert [(each.misfit, each.residual) for each in found.contacts] == told
+    assert found.residual == whole
 
 
 def test_press_behind_a_deep_one_is_found_from_the_other_end(ends):

@@ -112,8 +112,7 @@ def invert(
         Table to write (CSV) of the limits of detection along the tube for each group and indenter:
         the least depth and force at which a further contact would be detected; inf if at no depth.
     """
-    _check(files, out, figure, detection_limits)
-    far_end.check_pairs(files)
+    _check(files, far_end, out, figure, detection_limits)
     from acoustube.recordings import read_all
     from acoustube.runs import inversion
     from acoustube.runs.contact_table import COLUMNS, note_warnings, rows_of
@@ -141,7 +140,7 @@ def invert(
                 with report.progress(check) as show:
                     for group, found in inverter.groups(path, data, other, search.group, check):
                         table += rows_of(path, group, found.contacts, known)
-                        poor += [] if found.fits else [(found.misfit, found.residual)]
+                        poor += [] if found.fits else [(group, found.misfit, found.residual)]
                         wanted.add(path, group, found)
                         show(path.name, count := count + 1, -(-data.sizes["cycle"] // search.group))
             except (ConfigError, ValueError) as error:
@@ -230,8 +229,13 @@ def _preferred(known: EndsContacts | None, new: EndsContacts | None) -> EndsCont
 
 
 def _check(
-    files: Sequence[Path], out: Path | None, figure: Path | None, limits: Path | None
+    files: Sequence[Path],
+    far_end: FarEnd,
+    out: Path | None,
+    figure: Path | None,
+    limits: Path | None,
 ) -> None:
     if not files:
         raise ConfigError("invert needs a file or a folder; name one or more")
     check_files(out=out, figure=figure, detection_limits=limits)
+    far_end.check_pairs(files)

@@ -8,12 +8,13 @@ along a tube), `quantiser` (rounded samples), `baseband` and `folded` (cycles of
 parameters, prior odds of a press), `whitening` and `likelihood` (covariance and deviance), `fit`
 (maxima of the likelihood), `search` and `sample_sums` (candidates), `hypotheses` (sets of presses),
 `peeling` (presses in the order of time), `doubt` (whether one more press is real), `other_depths`
-(depths of nearly the same echo), `model_error` (effect of the model's error), `posterior`
-(distributions of the estimates), `detection` (limit of detection) and `estimate` (inversion of a
-recording); `two_ends` (a rangefinder at each end). For contacts that move, cycle by cycle:
-`motion` (the filter), `proposals` and `births` (new contacts), `fewer` (fits with fewer contacts),
-`cycle` and `tracks` (one hypothesis, updated by each cycle) and `tracking`. Packages: `twin`
-(parameters of a rangefinder from recordings) and `design` (expected accuracy of a sensor).
+(depths of nearly the same echo), `model_error` (effect of the model's error), `posterior` and
+`mixture_quantiles` (distributions of the estimates), `detection` (limit of detection), `goodness`
+(goodness of fit) and `estimate` (inversion of a recording); `two_ends` (a rangefinder at each end).
+For contacts that move, cycle by cycle: `motion` (the filter), `proposals` and `births` (new
+contacts), `fewer` (fits with fewer contacts), `cycle` and `tracks` (one hypothesis, updated by each
+cycle) and `tracking`. Packages: `twin` (parameters of a rangefinder from recordings) and `design`
+(expected accuracy of a sensor).
 """
 
 from acoustube.inversion.baseband import Baseband

@@ -15,6 +15,7 @@ from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.inversion.detection import detection_limit
 from acoustube.inversion.doubt import doubted
+from acoustube.inversion.goodness import good_fit, largest_residual, unexplained
 from acoustube.inversion.hypotheses import HOPELESS, Builder, Hypothesis
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.model_error import Discrepancy, discrepancy
@@ -29,20 +30,9 @@ BEAM = 2
 more press is added."""
 SAME_PLACE = 0.03
 """Distance in m below which presses of two hypotheses count as the same press."""
-MISFIT = 0.15
-"""Relative error of the forward model above which the tube, the tool, the sensor or the number of
-contacts is reported to differ from the model."""
-WINDOW, RESIDUAL = 2e-3, 2.5
-"""Duration in s of the parts of the echo whose whitened residual is tested, and mean square of such
-a part above which the contacts do not explain it. Where they do, the mean square of the 24 samples
-in 12 kHz is 1 with a standard deviation of 0.2; the rest of the threshold is for errors of the
-model that last for a part of the echo."""
 GOOD = 0.05
 """Relative error of the model up to which a hypothesis is good, so that no other of equally many
 presses is followed."""
-EXCESS = 2.0
-"""Margin that is subtracted from the energy of the residual, besides the energy of the noise, in
-standard deviations of the latter. The rest counts as unexplained."""
 NEGLIGIBLE = 300.0
 """Excess of the cost (minus twice the log likelihood) of a maximum over the least, above which the
 maximum is left out of the posterior. The posterior allows for ten times the power of the model's
@@ -74,7 +64,7 @@ class Contact:
 
 @dataclass(frozen=True, eq=False)
 class Inversion:
-    """Posterior of the presses in a recording: contacts, their number, and the misfit.
+    """Posterior of the presses in a recording: contacts, their number, and the goodness of fit.
 
     Attributes
     ----------
@@ -86,8 +76,12 @@ class Inversion:
         the echo. The latter is the root of the energy of the residual beyond that of the noise and
         two of its standard deviations, relative to the energy of the echo.
     residual : float
-        Largest mean square of the whitened residual in any :data:`WINDOW`: between 1 and 2 if the
-        contacts explain the echo with the noise and the model's error that are assumed.
+        Largest mean square of the whitened residual in any part of the echo that lasts for
+        :data:`.goodness.WINDOW`. Whitening divides the difference of recorded and modelled echo by
+        the standard deviation that noise, clutter and errors of the model would give it. If the
+        contacts explain the echo, the value is mostly between 1 and 2.
+    residual_span : (float, float)
+        First and last distance in m whose echoes arrive in that part.
     temperature, gain, stretch : Estimate
         Difference of the air's temperature from the model's in K, logarithm of the gain relative to
         the model's, and relative change of the frequency at which the presses' scattering is taken.
@@ -111,6 +105,7 @@ class Inversion:
     contacts: list[Contact]
     misfit: float
     residual: float
+    residual_span: tuple[float, float]
     temperature: Estimate
     gain: Estimate
     stretch: Estimate
@@ -125,7 +120,7 @@ class Inversion:
 
     @property
     def fits(self) -> bool:
-        """Goodness of fit: see :func:`good_fit`."""
+        """Whether the contacts explain the echo: see :func:`good_fit`."""
         return good_fit(self.misfit, self.residual)
 
     @property
@@ -150,8 +145,8 @@ class Inversion:
             Depths in m, (n,): inf where the deepest press of the library would not be detected, and
             everywhere if :attr:`most` contacts were detected, so that no further one is sought; nan
             closer to a contact than presses can be, and outside the span of the model. See
-            :func:`acoustube.inversion.detection.detection_limit`. With contacts, the limits are
-            valid only if :attr:`fits` is true.
+            :func:`acoustube.inversion.detection.detection_limit`. The limits are valid only if
+            :attr:`fits` is true.
 
         Raises
         ------
@@ -235,7 +230,7 @@ class Inverter:
             best = found[0]
             cost = cost_of_press(number)
             likelier = best.deviance + cost < chain[-1].deviance
-            if number > 1 and best.error > GOOD and (likelier or chain[-1].residual > EXPLAINED):
+            if number > 1 and best.error > GOOD and (likelier or chain[-1].mean_square > EXPLAINED):
                 best = _sought_again(builder, best)
             if number > 1:
                 best = doubted(builder, chain[-1], best)
@@ -250,11 +245,11 @@ class Inverter:
         """Return the posterior of the presses, from the best hypothesis of each number of them."""
         costs = np.cumsum([0.0, *map(cost_of_press, range(1, len(chain)))])
         deviance = np.array([one.deviance + o for one, o in zip(chain, costs, strict=True)])
-        inflation = max(1.0, min(one.residual for one in chain))
+        inflation = max(1.0, min(one.mean_square for one in chain))
         probability = np.exp(-0.5 * (deviance - deviance.min()) / inflation)
         probability /= probability.sum()
         number = int(np.argmax(probability))
-        near = chain[number].fits.likely(NEGLIGIBLE * max(1.0, chain[number].residual))
+        near = chain[number].fits.likely(NEGLIGIBLE * max(1.0, chain[number].mean_square))
         best = replace(chain[number], fits=near)
         off = discrepancy(self.model, best, builder.samples, builder.noise)
         order = np.argsort(off.level)
@@ -287,11 +282,12 @@ class Inverter:
         measured, explained = self._echoes(best, builder)
         misfit = float("nan")
         if contacts:
-            misfit = max(_unexplained(measured, explained, builder), best.error)
+            misfit = max(unexplained(measured, explained, builder), best.error)
         base = self.model.base
+        residual, span = largest_residual(measured - explained, best, builder)
         return Inversion(
             contacts=contacts, misfit=misfit,
-            residual=_largest_residual(measured - explained, best, builder), hypotheses=chain,
+            residual=residual, residual_span=span, hypotheses=chain,
             number={i: float(p) for i, p in enumerate(probability)},
             place=base.places, measured=measured, explained=explained, noise=builder.noise,
             model=self.model, most=self.most,
@@ -304,36 +300,6 @@ class Inverter:
         untouched = self.model.without_presses(nuisances)[0]
         value = self.model.baseband(best.tools, places, depths, nuisances)[0][0]
         return builder.samples - untouched, value - untouched
-
-
-def good_fit(misfit: float, residual: float) -> bool:
-    """Return whether contacts explain an echo: neither value is above its threshold.
-
-    A misfit that is nan, without contacts, counts as none. Where the function returns false, the
-    tube, the tools, the sensor or the number of contacts may differ from the model's.
-
-    Parameters
-    ----------
-    misfit, residual : float
-        See :class:`Inversion`; the thresholds are :data:`MISFIT` and :data:`RESIDUAL`.
-    """
-    return not (misfit > MISFIT or residual > RESIDUAL)
-
-
-def _largest_residual(rest: Complex, best: Hypothesis, builder: Builder) -> float:
-    """Return the largest mean square of the whitened residual `rest` in any :data:`WINDOW`."""
-    base = builder.model.base
-    power = np.abs(best.whiten(rest)) ** 2 / base.freedom
-    length = min(max(round(WINDOW / base.interval), 1), len(power))
-    return float(np.convolve(power, np.full(length, 1 / length), "valid").max())
-
-
-def _unexplained(measured: Complex, explained: Complex, builder: Builder) -> float:
-    """Return the fraction of the echo's amplitude that neither model nor noise explains."""
-    rest = builder.quiet(measured - explained)
-    noise = builder.model.base.freedom * len(rest)
-    beyond = np.sum(np.abs(rest) ** 2) - noise - EXCESS * noise**0.5
-    return float(np.sqrt(max(beyond, 0.0) / np.sum(np.abs(builder.quiet(explained)) ** 2)))
 
 
 def _shifted(builder: Builder, found: list[Hypothesis]) -> list[Hypothesis]:

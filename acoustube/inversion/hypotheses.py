@@ -83,7 +83,7 @@ class Hypothesis:
         Weights with that error.
     deviance : float
         Minus twice the logarithm of the evidence.
-    residual : float
+    mean_square : float
         Mean square of the whitened residual, 1 if the model is right.
     """
 
@@ -92,7 +92,7 @@ class Hypothesis:
     error: float
     whiten: Weights
     deviance: float
-    residual: float
+    mean_square: float
 
     @property
     def best(self) -> Array:
@@ -387,8 +387,8 @@ class Builder:
         deviance = float(evidence(self.model, tools, fits, whiten)[0])
         value = self.modelled(tools, fits.parameters[0])
         rest = whiten(self.samples - value)
-        residual = float(np.mean(np.abs(rest) ** 2)) / self.model.base.freedom
-        return Hypothesis(tools, fits, error, whiten, deviance, residual)
+        mean_square = float(np.mean(np.abs(rest) ** 2)) / self.model.base.freedom
+        return Hypothesis(tools, fits, error, whiten, deviance, mean_square)
 
 
 def _without(known: Hypothesis, number: int) -> tuple[tuple[int, ...], Fits]:

@@ -38,8 +38,8 @@ def peeled(builder: Builder, most: int) -> list[list[Hypothesis]]:
     """Return hypotheses of one press, two and so on, each fitted to the first part of a recording.
 
     For each number there are up to :data:`AT_ONSET` hypotheses whose last press is at an onset,
-    followed by up to :data:`BEFORE_ONSET` others. Both groups are in the order of rising residual
-    of the samples fitted. The list ends early where no further press is found.
+    followed by up to :data:`BEFORE_ONSET` others. Both groups are in the order of rising mean
+    square of the samples fitted. The list ends early where no further press is found.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def _at_onset(builder: Builder, known: Hypothesis, onset: int) -> list[Hypothesi
         within = float(base.places[onset]) - early, float(base.places[end - 1])
         more = _with_one_more(builder, known, end, within)
         found += more
-        if more and more[0].residual < EXPLAINED:
+        if more and more[0].mean_square < EXPLAINED:
             break
     return found
 
@@ -102,15 +102,15 @@ def _with_one_more(
 ) -> list[Hypothesis]:
     """Return a list of the best hypothesis with one more press in a range of places in m.
 
-    It is fitted to the samples before number `end`, and its `residual` is that of these samples.
+    It is fitted to the samples before number `end`, and its `mean_square` is of these samples.
     The list is empty if the expected gain of no candidate in the range exceeds `least`.
     """
     whiten = known.whiten.until(end)
     found = []
     for tools, fits in builder.with_one_more(known, whiten, within, least)[:1]:
         left = whiten(builder.samples - builder.modelled(tools, fits.parameters[0]))
-        residual = float(np.mean(np.abs(left) ** 2)) / builder.model.base.freedom
-        found.append(Hypothesis(tools, fits.first(1), 0.0, whiten, np.inf, residual))
+        mean_square = float(np.mean(np.abs(left) ** 2)) / builder.model.base.freedom
+        found.append(Hypothesis(tools, fits.first(1), 0.0, whiten, np.inf, mean_square))
     return found
 
 
@@ -133,9 +133,9 @@ def leading_edge(level: Array, step: float) -> int | None:
 
 
 def _distinct(found: list[Hypothesis]) -> list[Hypothesis]:
-    """Return the hypotheses that differ in places or tools, in the order of rising residual."""
+    """Return the hypotheses that differ in places or tools, by rising mean square."""
     kept: list[Hypothesis] = []
-    for one in sorted(found, key=lambda one: one.residual):
+    for one in sorted(found, key=lambda one: one.mean_square):
         if not _known(one, kept):
             kept.append(one)
     return kept

@@ -69,7 +69,7 @@ class Posterior:
 
     def __init__(self, hypothesis: Hypothesis, off: Discrepancy) -> None:
         fits = hypothesis.fits
-        inflation = max(1.0, hypothesis.residual)
+        inflation = max(1.0, hypothesis.mean_square)
         n = fits.parameters.shape[1]
         covariance = np.linalg.inv(fits.information + 1e-12 * np.eye(n))
         self.mean = fits.parameters

@@ -17,7 +17,8 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.inversion.cycle import Cycle
-from acoustube.inversion.estimate import MISFIT, Contact
+from acoustube.inversion.estimate import Contact
+from acoustube.inversion.goodness import MISFIT
 from acoustube.inversion.hypotheses import Builder
 from acoustube.inversion.likelihood import weights
 from acoustube.inversion.model import NUISANCES, ForwardModel
@@ -74,9 +75,9 @@ class Tracked:
 
     @property
     def fits(self) -> bool:
-        """Goodness of fit: true if the misfit is nan, or up to the threshold of a bad fit.
+        """Whether the misfit is at most :data:`acoustube.inversion.goodness.MISFIT`, or nan.
 
-        The threshold is :data:`acoustube.inversion.estimate.MISFIT`.
+        Unlike :class:`acoustube.inversion.Inversion`, the tracker reports no residual.
         """
         return not self.misfit > MISFIT
 

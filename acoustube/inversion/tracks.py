@@ -22,8 +22,8 @@ from acoustube.inversion.births import (
     with_shifts,
 )
 from acoustube.inversion.cycle import Cycle, Known
-from acoustube.inversion.estimate import MISFIT
 from acoustube.inversion.fewer import UNUSUAL, one_for_two, refitted, widened
+from acoustube.inversion.goodness import MISFIT
 from acoustube.inversion.likelihood import Echo, echo_from, weights
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.motion import (

@@ -11,6 +11,7 @@ import numpy as np
 from acoustube.base.report import Reporter
 from acoustube.base.units import CM, MM
 from acoustube.inversion import Contact, Library
+from acoustube.inversion.goodness import MISFIT, RESIDUAL
 from acoustube.runs.inversion import USUAL_LENGTH
 
 CONTACT_COLUMNS = (
@@ -63,7 +64,7 @@ def contact_cells(contact: Contact, misfit: float, library: Library) -> list[str
 
 def note_warnings(
     path: Path,
-    poor: Sequence[tuple[float, float]],
+    poor: Sequence[tuple[int, float, float]],
     n_groups: int,
     length: float | None,
     report: Reporter,
@@ -74,8 +75,8 @@ def note_warnings(
     ----------
     path : Path
         File of the recording.
-    poor : sequence of (float, float)
-        Misfit and residual of each such group.
+    poor : sequence of (int, float, float)
+        Number, misfit and residual of each such group.
     n_groups : int
         Number of all groups.
     length : float or None
@@ -83,13 +84,17 @@ def note_warnings(
     report : Reporter
     """
     if poor:
-        most = [np.nanmax([0.0, *values]) for values in zip(*poor, strict=True)]
-        names = zip(("misfit", "residual"), most, strict=True)
-        told = [f"{name} up to {value:.2g}" for name, value in names if value]
+        groups, *values = zip(*poor, strict=True)
+        most = zip(("misfit", "residual"), values, (MISFIT, RESIDUAL), strict=True)
+        told = [
+            f"{name} up to {np.nanmax(each):.3g}, allowed {allowed:g}"
+            for name, each, allowed in most
+            if np.any(np.array(each) > allowed)
+        ]
         report.note(
-            f"{path}: in {len(poor)} of {n_groups} groups the contacts do not explain the echo "
-            f"({', '.join(told)}); tube, indenters, sensor or number of contacts are not those "
-            "stated, or a force is beyond the library's"
+            f"{path}: in {len(poor)} of {n_groups} groups, the first of them group {groups[0]}, "
+            f"the echo is not explained ({'; '.join(told)}); tube, noise, sensor, indenters or "
+            "number of contacts are not those stated, or a force is beyond the library's"
         )
     if length is None:
         report.note(

@@ -13,7 +13,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.report import Reporter
 from acoustube.base.units import CM, MM, MS, PERCENT
 from acoustube.inversion import Contact, Inversion, Library, Priors
-from acoustube.inversion.estimate import MISFIT
+from acoustube.inversion.goodness import MISFIT
 from acoustube.inversion.twin import Material, Press, fit_material
 from acoustube.inversion.twin.estimate import radius
 from acoustube.runs.inversion import RecordingInverter, Sensor
@@ -198,6 +198,7 @@ def _contact(inverted: Inversion, place: float) -> tuple[Contact | None, str]:
     contact = min(likely, key=lambda one: abs(one.distance.value - place))
     if abs(contact.distance.value - place) > NEAR:
         return contact, f"its echo comes from {CM * contact.distance.value:.1f} cm"
+    # The residual would leave out most presses: the twin's tube may differ from the library's.
     if inverted.misfit > MISFIT:
         return contact, f"its echo differs from the library's by {PERCENT * inverted.misfit:.0f} %"
     return contact, ""

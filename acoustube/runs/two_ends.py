@@ -16,7 +16,7 @@ from acoustube.base.types import Array
 from acoustube.base.units import CM, MM
 from acoustube.inversion import Inversion, Library, joined_contacts
 from acoustube.inversion.detection import limits_along
-from acoustube.inversion.estimate import MISFIT, RESIDUAL, good_fit
+from acoustube.inversion.goodness import MISFIT, RESIDUAL, good_fit
 from acoustube.inversion.parameters import CLOSEST
 from acoustube.runs.contact_table import ContactFit
 from acoustube.runs.inversion import RecordingInverter
@@ -38,8 +38,9 @@ class EndsContacts(NamedTuple):
         explains its echo better, of those that detect it. The misfit is 1 or more where both ends
         detect the contact but contradict each other in position or depth.
     misfit, residual : float
-        With one end those of `near`. With two ends the largest misfit and the largest residual of a
-        contact; without contacts nan and the larger residual of both ends.
+        With one end those of `near`. With two ends `misfit` is the largest of a contact, nan
+        without contacts. `residual` is the largest of a contact and of the ends that report all
+        contacts: that of an end which misses one is due to it.
     near : Inversion
         Inversion from the near end alone.
     far : (Inversion, float) or None
@@ -60,7 +61,7 @@ class EndsContacts(NamedTuple):
 
     @property
     def fits(self) -> bool:
-        """Goodness of fit: see :func:`acoustube.inversion.estimate.good_fit`."""
+        """Whether the contacts explain the echoes: see :func:`.goodness.good_fit`."""
         return good_fit(self.misfit, self.residual)
 
     @property
@@ -156,15 +157,16 @@ class EndsInverter:
     def _joined(self, near: Inversion, far: Inversion, length: float) -> EndsContacts:
         """Return the contacts that one end or both detect, in a tube of a length in m."""
         known = self.near.tool_library, self.near.sensor.priors
-        found = []
+        found, whole = [], [near, far]
         for one in joined_contacts(near.contacts, far.contacts, length, *known):
             ends = [end for end, i in ((near, one.near), (far, one.far)) if i is not None]
             best = min(ends, key=lambda end: max(end.misfit / MISFIT, end.residual / RESIDUAL))
             # Where the ends contradict each other, the contact counts as unexplained.
             misfit = best.misfit if one.agree else max(1.0, *(end.misfit for end in ends))
             found.append(ContactFit(one.contact, misfit, best.residual))
+            whole = [end for end in whole if end in ends]
         misfit = max((one.misfit for one in found), default=float("nan"))
-        residual = max(one.residual for one in found or (near, far))
+        residual = max([one.residual for one in found] + [end.residual for end in whole])
         return EndsContacts(found, misfit, residual, near, (far, length))
 
 

@@ -15,6 +15,7 @@ from acoustube.base.units import CM, MM
 from acoustube.inversion import Inversion, Library
 from acoustube.inversion.detection import limits_along
 from acoustube.inversion.estimate import Contact
+from acoustube.inversion.goodness import RESIDUAL
 from acoustube.reports.figures.run import ENVELOPE, PRESS, RETURN
 from acoustube.runs.two_ends import EndsContacts
 
@@ -64,7 +65,10 @@ def _draw_echo(
     axes.semilogy(at, np.abs(end.measured), color=ENVELOPE, lw=1.2, label="recorded")
     axes.semilogy(at, np.abs(end.explained), color=PRESS, lw=1.0, ls="--", label="modelled")
     rest = np.abs(end.measured - end.explained)
-    axes.semilogy(at, rest, color="0.6", lw=0.8, label="residual")
+    axes.semilogy(at, rest, color="0.6", lw=0.8, label="difference")
+    if end.residual > RESIDUAL:
+        ends = at[np.isin(end.place, end.residual_span)]
+        axes.axvspan(ends.min(), ends.max(), color="0.9", lw=0, label="not explained")
     floor = float(np.median(rest))
     axes.set_ylim(0.3 * floor, 2 * float(np.abs(end.measured).max()))
     for contact in contacts:
@@ -74,8 +78,8 @@ def _draw_echo(
     axes.set_xlabel(f"distance from the {face}, by the delay (cm)")
     axes.set_ylabel("echo without clutter (counts)")
     number = counted(len(end.contacts), "contact") if end.contacts else "no contact"
-    words = [number, *([f"misfit {end.misfit:.2g}"] if end.contacts else [])]
-    axes.set_title(", ".join([*words, f"residual {end.residual:.2g}"]) + of_end, fontsize=10)
+    words = [number, *([f"misfit {end.misfit:.3g}"] if end.contacts else [])]
+    axes.set_title(", ".join([*words, f"residual {end.residual:.3g}"]) + of_end, fontsize=10)
     axes.legend(fontsize=8)
 
 

@@ -83,7 +83,7 @@ class Designed(NamedTuple):
             )
         if self.failed:
             found.append(
-                f"{counted(len(self.failed), 'tube')} could not be computed, the first: "
+                f"{counted(len(self.failed), 'tube')} without a candidate, the first: "
                 f"{next(iter(self.failed)).words}: {next(iter(self.failed.values()))}"
             )
         return [*found, *ASSUMED]
@@ -169,7 +169,7 @@ def _searched(
     if search.run() is None:
         spec, reason = next(iter(search.failed.items()))
         raise SimulationError(
-            f"none of {len(search.failed)} tubes can be computed, the first ({spec.words}): "
+            f"none of {len(search.failed)} tubes has a candidate, the first ({spec.words}): "
             f"{reason}; widen bore_mm, wall_mm or outer_mm"
         )
     own = compute([PAPER])[PAPER]
@@ -214,5 +214,5 @@ def summary(found: Designed) -> list[tuple[str, str]]:
         if short := one.candidate.shortfalls(found.design):
             words += f"; misses the goal: {', '.join(short)}"
         rows.append((one.name, words))
-    rows.append(("tubes", f"{found.tubes} computed, {len(found.failed)} not"))
+    rows.append(("tubes", f"{found.tubes} with a candidate, {len(found.failed)} without"))
     return rows
