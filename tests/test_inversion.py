@@ -31,7 +31,7 @@ from acoustube.inversion import (
 )
 from acoustube.inversion.coupled_network import coupled_echo
 from acoustube.inversion.detection import _limit, limits_along
-from acoustube.inversion.goodness import MISFIT, RESIDUAL, good_fit
+from acoustube.inversion.goodness import MISFIT, RESIDUAL, good_fit, largest_residual
 from acoustube.inversion.hypotheses import ERRORS, Builder
 from acoustube.inversion.joints import Joined
 from acoustube.inversion.likelihood import deviance_of, echo_of, weights
@@ -828,10 +828,28 @@ def test_echo_of_an_undetected_press_is_in_the_residual(inverter, depth, place):
     assert place < last
     assert first < place + 0.1
     assert last - first == pytest.approx(2e-3 * air_at(20.0).sound_speed / 2, abs=0.02)
-    echo = posterior_figure(EndsContacts.of_one_end(alone), inverter.model.tool_library).axes[0]
-    assert "not explained" in [one.get_text() for one in echo.get_legend().get_texts()]
     both = Inverter(inverter.model, most=2)(cycles)
+    for found in (alone, both):
+        figure = posterior_figure(EndsContacts.of_one_end(found), inverter.model.tool_library)
+        shaded = [one for one in figure.axes[0].patches if "not explained" in one.get_label()]
+        assert len(shaded) == (not found.fits)
+        for one in shaded:
+            ends = one.get_x(), one.get_x() + one.get_width()
+            assert ends == pytest.approx(100 * np.array(found.residual_span))
     assert both.fits is (len(both.contacts) == 2) is (depth == 3e-3)
+
+
+@pytest.mark.parametrize(("freedom", "length"), [(1.0, 24), (0.5, 48)])
+def test_residual_is_that_of_a_part_of_2_or_4_ms(freedom, length):
+    """4 ms where whitened samples are real, as in a folded band, for as many degrees of freedom."""
+    rest = np.sqrt(freedom) * np.ones(180)
+    rest[70 : 70 + length] *= 2
+    base = SimpleNamespace(freedom=freedom, interval=1 / 12e3, places=np.arange(180.0))
+    best, builder = SimpleNamespace(whiten=lambda x: x), SimpleNamespace(model=None)
+    builder.model = SimpleNamespace(base=base)
+    value, span = largest_residual(rest, best, builder)
+    assert value == pytest.approx(4.0)
+    assert span == (70.0, 69.0 + length)
 
 
 @pytest.mark.parametrize(
@@ -987,8 +1005,8 @@ def test_library_of_tubes_of_two_bores_is_refused():
 @pytest.mark.parametrize(
     ("poor", "told"),
     [
-        ([(1, 0.2, 1.2), (3, np.nan, 123)], ["2 of 5 groups", "group 1", "0.2, ", "123, "]),
-        ([(4, np.nan, 2.7), (5, 0.1, 2.6)], ["2 of 5 groups", "group 4", "(residual up to 2.7, "]),
+        ([(1, 0.2, 1.2), (3, np.nan, 123)], ["2 of 5 groups", "group 1,", "0.2, ", "123, "]),
+        ([(4, np.nan, 2.7), (5, 0.1, 2.6)], ["2 of 5 groups", "group 4,", "(residual up to 2.7, "]),
     ],
 )
 def test_groups_whose_echo_is_not_explained_are_counted(poor, told):

@@ -164,30 +164,41 @@ def test_contacts_are_joined_with_their_nearest():
     assert [(one.near, one.far) for one in found] == [(0, None), (1, 0)]
 
 
+SPANS = (1.0, 1.3), (0.2, 0.5)
+
+
 @pytest.mark.parametrize(
-    ("near", "far", "told", "whole"),
+    ("near", "far", "spans", "told", "whole"),
     [
-        # The far end explains its echo better. The near one reports all contacts, with a residual.
-        ([0.5], [0.5], [(0.1, 1.5)], 3.0),
-        # The residual of the near end is due to the contact that the far end alone detects.
-        ([0.5], [0.5, 1.1], [(0.1, 1.5), (0.1, 1.5)], 1.5),
-        ([], [], [], 3.0),
+        # The far end explains its echo better; nothing explains the residual of the near one.
+        ([0.5], [0.5], SPANS, [(0.1, 1.5)], 3.0),
+        # It is due to the contact that the far end alone detects,
+        ([0.5], [0.5, 1.1], SPANS, [(0.1, 1.5), (0.1, 1.5)], 1.5),
+        # unless it arrives before the echo of that contact.
+        ([0.5], [0.5, 1.45], SPANS, [(0.1, 1.5), (0.1, 1.5)], 3.0),
+        # Each end misses the other's contact, and its residual is due to that.
+        ([0.5], [1.1], ((1.0, 1.3), (1.0, 1.3)), [(0.05, np.nan), (0.1, np.nan)], np.nan),
+        # The near end reports all contacts, and the residual of the far one is due to the first.
+        ([0.5, 1.1], [1.1], ((1.0, 1.3), (1.2, 1.5)), [(0.05, 3.0), (0.05, 3.0)], 3.0),
+        ([], [], SPANS, [], 3.0),
     ],
 )
-def test_contact_has_the_fit_of_the_better_end(near, far, told, whole):
+def test_contact_has_the_fit_of_the_better_end(near, far, spans, told, whole):
+    """Spans of the largest residuals are distances from each end."""
     known = SimpleNamespace(
         tool_library=Library((tool(),)), sensor=SimpleNamespace(priors=Priors())
     )
     one, other = (
-        SimpleNamespace(misfit=misfit, residual=residual, contacts=[
+        SimpleNamespace(misfit=misfit, residual=residual, residual_span=span, contacts=[
             contact([z, z], [3e-3, 3e-3], (1e-3, 1e-4)) for z in places
         ])
-        for places, misfit, residual in
-        ((near, 0.05, 3.0), ([LENGTH - z for z in far[::-1]], 0.1, 1.5))
+        for places, misfit, residual, span in
+        ((near, 0.05, 3.0, spans[0]), ([LENGTH - z for z in far[::-1]], 0.1, 1.5, spans[1]))
     )  # fmt: skip
     found = EndsInverter(known)._joined(one, other, LENGTH)
-    assert [(each.misfit, each.residual) for each in found.contacts] == told
-    assert found.residual == whole
+    fits = [(each.misfit, each.residual) for each in found.contacts]
+    np.testing.assert_array_equal(np.reshape(fits, (-1, 2)), np.reshape(told, (-1, 2)))
+    np.testing.assert_array_equal(found.residual, whole)
 
 
 def test_press_behind_a_deep_one_is_found_from_the_other_end(ends):

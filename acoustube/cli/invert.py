@@ -107,7 +107,8 @@ def invert(
         Table to write (CSV), one row per contact; standard output if not given.
     figure : Path
         Picture to write (PNG, PDF or SVG): echoes from each end, posterior and limit of
-        detection along the tube, of the first group with a contact, else of the first group.
+        detection along the tube, of the first group with contacts that do not explain the echo;
+        else of the first group with a contact, or of the first group.
     detection_limits : Path
         Table to write (CSV) of the limits of detection along the tube for each group and indenter:
         the least depth and force at which a further contact would be detected; inf if at no depth.
@@ -222,10 +223,17 @@ class _Files:
 
 
 def _preferred(known: EndsContacts | None, new: EndsContacts | None) -> EndsContacts | None:
-    """Return the group to draw: the first with a contact, else the first of all."""
-    if known is None or (new is not None and new.contacts and not known.contacts):
+    """Return the group to draw, the first of those preferred.
+
+    Groups with a contact are preferred, and among them those whose echo is not explained.
+    """
+    if known is None or (new is not None and _rank(new) > _rank(known)):
         return new
     return known
+
+
+def _rank(group: EndsContacts) -> tuple[bool, bool]:
+    return bool(group.contacts), not group.fits
 
 
 def _check(

@@ -77,9 +77,10 @@ class Inversion:
         two of its standard deviations, relative to the energy of the echo.
     residual : float
         Largest mean square of the whitened residual in any part of the echo that lasts for
-        :data:`.goodness.WINDOW`. Whitening divides the difference of recorded and modelled echo by
-        the standard deviation that noise, clutter and errors of the model would give it. If the
-        contacts explain the echo, the value is mostly between 1 and 2.
+        :data:`.goodness.WINDOW`, or twice that where samples are real. Whitening divides the
+        difference of recorded and modelled echo by the standard deviation that noise, clutter and
+        errors of the model would give it. If the contacts explain the echo, the value is mostly
+        between 1 and 2.
     residual_span : (float, float)
         First and last distance in m whose echoes arrive in that part.
     temperature, gain, stretch : Estimate

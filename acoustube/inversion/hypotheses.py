@@ -9,6 +9,7 @@ than the most likely one, which would hide them.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -357,18 +358,17 @@ class Builder:
         echo = echo_of(self.model, tools, parameters)
         rest = self.samples - self.modelled(tools, parameters)
 
-        def judged(error: float, always: float) -> tuple[float, float, float]:
-            what = self.model, self.noise, error, echo, always
-            return deviance_of(*what, rest), error, always
+        def likeliest(tried: list[tuple[float, float]]) -> tuple[float, float]:
+            errors, always = np.array(tried).T
+            found = deviance_of(self.model, self.noise, errors, echo, always, rest)
+            return tried[int(np.argmin(found))]
 
-        best = min(judged(error, 0.0) for error in ERRORS)
-        if not spread:
-            return best[1], weights(self.model, self.noise, best[1], echo)
-        # An error equal at all times may account for what seemed one in proportion to the echo.
-        errors = {best[1], *(error for error in ERRORS[:2] if error < best[1])}
-        spreads = SPREADS + BENT_SPREADS if self.model.path.converts else SPREADS
-        wider = [judged(error, one) for error in sorted(errors) for one in spreads]
-        _, error, wide = min([best, *wider])
+        error, wide = likeliest([(error, 0.0) for error in ERRORS])
+        if spread:
+            # An error equal at all times may account for what seemed one in proportion to the echo.
+            errors = sorted({error, *(one for one in ERRORS[:2] if one < error)})
+            spreads = SPREADS + BENT_SPREADS if self.model.path.converts else SPREADS
+            error, wide = likeliest([(error, 0.0), *itertools.product(errors, spreads)])
         return error, weights(self.model, self.noise, error, echo, wide)
 
     def modelled(self, tools: tuple[int, ...], parameters: Array) -> Complex:

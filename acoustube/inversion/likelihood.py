@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import cholesky, solve_triangular
 
 from acoustube.base.types import Array
@@ -102,17 +103,37 @@ def weights(
 def deviance_of(
     model: ForwardModel,
     noise: float,
-    error: float,
+    errors: ArrayLike,
     echo: Echo,
-    spread: float,
+    spreads: ArrayLike,
     residual: Complex,
-) -> float:
-    """Return minus twice the log likelihood of a residual (n_time,), up to a constant.
+) -> Array:
+    """Return minus twice the log likelihoods of a residual for several errors of the model, (n,).
 
-    The other arguments are those of :func:`weights`.
+    They omit a constant.
+
+    Parameters
+    ----------
+    model, noise, echo
+        See :func:`weights`.
+    errors, spreads : array_like
+        Errors relative to the echo, and errors that are equal at all times, (n,) each or one.
+    residual : ndarray
+        Baseband in counts, (n_time,).
     """
-    white, logarithm = whitened(model, noise, error, echo, spread, residual)
-    return 2 * float(np.sum(np.abs(white) ** 2)) + 2 * logarithm
+    pairs = np.broadcast_arrays(*np.atleast_1d(errors, spreads))
+    if model.clutter.shapes is not None:
+        found = [whitened(model, noise, e, echo, s, residual) for e, s in zip(*pairs, strict=True)]
+        return np.array([2 * np.sum(np.abs(white) ** 2) + 2 * size for white, size in found])
+    # The inverse and the determinant of D + b b^H, with the error b of the losses.
+    variance, losses = _errors(model, noise, pairs[0][:, None], echo, pairs[1][:, None])
+    energy, logarithm = (np.abs(residual) ** 2 / variance).sum(-1), np.log(variance).sum(-1)
+    if losses is not None:
+        power = (np.abs(losses) ** 2 / variance).sum(-1)
+        along = (losses.conj() * residual / variance).sum(-1)
+        energy -= np.abs(along) ** 2 / (1 + power)
+        logarithm += np.log1p(power)
+    return np.asarray(2 * model.base.freedom * (energy + logarithm))
 
 
 def whitened(
@@ -146,18 +167,20 @@ def whitened(
 
 
 def _errors(
-    model: ForwardModel, noise: float, error: float, echo: Echo | None, spread: float
-) -> tuple[Array, Complex | None]:
-    """Return the variances of the independent errors and the error of the losses, both (n_time,).
+    model: ForwardModel, noise: float, error: float | Array, echo: Echo | None,
+    spread: float | Array,
+) -> tuple[Array, Complex | None]:  # fmt: skip
+    """Return the variances of the independent errors and the error of the losses.
 
-    The unknown part of the clutter is not included. The second result is the change of the echo by
-    one standard deviation of the losses, or None.
+    The unknown part of the clutter is not included. The variances have the shape (n_time,), or
+    (n, n_time) for errors (n, 1). The second result is the change of the echo by one standard
+    deviation of the losses, (n_time,), or None.
     """
     variance = np.full(len(model.base.used), noise + model.clutter.variance)
     if echo is None:
         return variance, None
-    variance += (spread * np.abs(echo.value).max()) ** 2 + error**2 * echo.power
-    return variance, echo.by_losses
+    loudest = np.abs(echo.value).max()
+    return variance + ((spread * loudest) ** 2 + error**2 * echo.power), echo.by_losses
 
 
 def _factor(model: ForwardModel, variance: Array, losses: Complex | None) -> tuple[Complex, Array]:

@@ -46,7 +46,7 @@ def rows_of(
     """Return a row of :data:`COLUMNS` for each contact of a group, numbered from 0."""
     return [
         [str(path), group, i, *contact_cells(one.contact, one.misfit, library),
-         f"{one.residual:.3g}"]
+         f"{one.residual:.4g}"]
         for i, one in enumerate(contacts)
     ]  # fmt: skip
 
@@ -87,14 +87,15 @@ def note_warnings(
         groups, *values = zip(*poor, strict=True)
         most = zip(("misfit", "residual"), values, (MISFIT, RESIDUAL), strict=True)
         told = [
-            f"{name} up to {np.nanmax(each):.3g}, allowed {allowed:g}"
+            f"{name} up to {np.nanmax(each):.4g}, allowed {allowed:g}"
             for name, each, allowed in most
             if np.any(np.array(each) > allowed)
         ]
         report.note(
-            f"{path}: in {len(poor)} of {n_groups} groups, the first of them group {groups[0]}, "
-            f"the echo is not explained ({'; '.join(told)}); tube, noise, sensor, indenters or "
-            "number of contacts are not those stated, or a force is beyond the library's"
+            f"{path}: in {len(poor)} of {n_groups} groups (the first: group {groups[0]}, counted "
+            f"from 0) the echo is not explained ({'; '.join(told)}); tube, noise, sensor, "
+            "indenters or number of contacts are not those stated, or a force is beyond the "
+            "library's"
         )
     if length is None:
         report.note(

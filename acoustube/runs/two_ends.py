@@ -35,12 +35,13 @@ class EndsContacts(NamedTuple):
     ----------
     contacts : list of ContactFit
         Contacts, at distances from the near end, each with misfit and residual of that end that
-        explains its echo better, of those that detect it. The misfit is 1 or more where both ends
-        detect the contact but contradict each other in position or depth.
+        explains its echo better, of those that detect it. The residual is nan if it is due to a
+        contact that the end misses. The misfit is 1 or more where both ends detect the contact but
+        contradict each other in position or depth.
     misfit, residual : float
         With one end those of `near`. With two ends `misfit` is the largest of a contact, nan
-        without contacts. `residual` is the largest of a contact and of the ends that report all
-        contacts: that of an end which misses one is due to it.
+        without contacts, and `residual` the larger of both ends, of those that are not due to a
+        contact which the end misses; nan if both are.
     near : Inversion
         Inversion from the near end alone.
     far : (Inversion, float) or None
@@ -157,17 +158,41 @@ class EndsInverter:
     def _joined(self, near: Inversion, far: Inversion, length: float) -> EndsContacts:
         """Return the contacts that one end or both detect, in a tube of a length in m."""
         known = self.near.tool_library, self.near.sensor.priors
-        found, whole = [], [near, far]
-        for one in joined_contacts(near.contacts, far.contacts, length, *known):
-            ends = [end for end, i in ((near, one.near), (far, one.far)) if i is not None]
-            best = min(ends, key=lambda end: max(end.misfit / MISFIT, end.residual / RESIDUAL))
+        joined, found = joined_contacts(near.contacts, far.contacts, length, *known), []
+        places = np.array([one.contact.distance.value for one in joined])
+        missed = [np.array([i is None for i in each], bool) for each in (
+            [one.near for one in joined], [one.far for one in joined]
+        )]  # fmt: skip
+        fits = [
+            (near.misfit, _own_residual(near, places[missed[0]])),
+            (far.misfit, _own_residual(far, length - places[missed[1]])),
+        ]
+        for i, one in enumerate(joined):
+            ends = [fit for fit, lost in zip(fits, missed, strict=True) if not lost[i]]
+            misfit, residual = min(ends, key=_excess)
             # Where the ends contradict each other, the contact counts as unexplained.
-            misfit = best.misfit if one.agree else max(1.0, *(end.misfit for end in ends))
-            found.append(ContactFit(one.contact, misfit, best.residual))
-            whole = [end for end in whole if end in ends]
+            if not one.agree:
+                misfit = max(1.0, *(fit[0] for fit in ends))
+            found.append(ContactFit(one.contact, misfit, residual))
         misfit = max((one.misfit for one in found), default=float("nan"))
-        residual = max([one.residual for one in found] + [end.residual for end in whole])
-        return EndsContacts(found, misfit, residual, near, (far, length))
+        return EndsContacts(
+            found, misfit, float(np.fmax(fits[0][1], fits[1][1])), near, (far, length)
+        )
+
+
+def _excess(fit: tuple[float, float]) -> float:
+    """Return the larger of misfit and residual relative to their thresholds; inf for nan."""
+    misfit, residual = fit
+    return float("inf") if np.isnan(residual) else max(misfit / MISFIT, residual / RESIDUAL)
+
+
+def _own_residual(end: Inversion, missed: Array) -> float:
+    """Return the residual of an end, or nan if a contact that the end misses may cause it.
+
+    `missed` are the distances from that end in m of such contacts. The echo of a contact arrives
+    later than that of nearer places, so that it causes no residual in front of the contact.
+    """
+    return float("nan") if np.any(missed < end.residual_span[1]) else end.residual
 
 
 def limit_rows(path: Path, group: int, found: EndsContacts, library: Library) -> list[list[object]]:
@@ -198,7 +223,7 @@ def limit_rows(path: Path, group: int, found: EndsContacts, library: Library) ->
         start, kind = [str(path), group], [tool.shape, f"{MM * tool.diameter:g}"]
         rows += [
             [*start, f"{CM * place:.6g}", *kind, f"{MM * d:.4g}", f"{f:.4g}", f"{found.misfit:.4g}",
-             f"{found.residual:.3g}"]
+             f"{found.residual:.4g}"]
             for place, d, f in zip(places, depths, forces, strict=True)
             if not np.isnan(d)
         ]  # fmt: skip

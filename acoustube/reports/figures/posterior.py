@@ -67,8 +67,9 @@ def _draw_echo(
     rest = np.abs(end.measured - end.explained)
     axes.semilogy(at, rest, color="0.6", lw=0.8, label="difference")
     if end.residual > RESIDUAL:
-        ends = at[np.isin(end.place, end.residual_span)]
-        axes.axvspan(ends.min(), ends.max(), color="0.9", lw=0, label="not explained")
+        low, high = np.sort(at[np.isin(end.place, end.residual_span)])
+        label = f"not explained{' from this end' * bool(of_end)}, {low:.0f} to {high:.0f} cm"
+        axes.axvspan(low, high, color="0.9", lw=0, label=label)
     floor = float(np.median(rest))
     axes.set_ylim(0.3 * floor, 2 * float(np.abs(end.measured).max()))
     for contact in contacts:

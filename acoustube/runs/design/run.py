@@ -62,7 +62,7 @@ class Designed(NamedTuple):
     tubes : int
         Number of tubes with a candidate.
     failed : dict of TubeSpec to str
-        Tubes that could not be computed or that no drive suits, with the reasons.
+        Tubes without a candidate, which could not be computed or which no drive suits, and why.
     """
 
     design: DesignGoal
@@ -83,8 +83,8 @@ class Designed(NamedTuple):
             )
         if self.failed:
             found.append(
-                f"{counted(len(self.failed), 'tube')} without a candidate, the first: "
-                f"{next(iter(self.failed)).words}: {next(iter(self.failed.values()))}"
+                f"The search found no candidate with {counted(len(self.failed), 'tube')}, the "
+                f"first: {next(iter(self.failed)).words}: {next(iter(self.failed.values()))}"
             )
         return [*found, *ASSUMED]
 
@@ -126,7 +126,7 @@ def run_design(
     Raises
     ------
     SimulationError
-        If no tube can be computed.
+        If no tube has a candidate.
     """
     count = count_of(workers)
     band = band_of(design, [Rangefinder().resonance])
