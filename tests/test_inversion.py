@@ -845,9 +845,7 @@ def test_residual_is_that_of_a_part_of_2_or_4_ms(freedom, length):
     rest = np.sqrt(freedom) * np.ones(180)
     rest[70 : 70 + length] *= 2
     base = SimpleNamespace(freedom=freedom, interval=1 / 12e3, places=np.arange(180.0))
-    best, builder = SimpleNamespace(whiten=lambda x: x), SimpleNamespace(model=None)
-    builder.model = SimpleNamespace(base=base)
-    value, span = largest_residual(rest, best, builder)
+    value, span = largest_residual(rest, base)
     assert value == pytest.approx(4.0)
     assert span == (70.0, 69.0 + length)
 

@@ -25,7 +25,7 @@ from acoustube.inversion.clutter import Reflectors
 from acoustube.inversion.doubt import doubted
 from acoustube.inversion.fit import Fits, _follow, maximise
 from acoustube.inversion.hypotheses import Builder, Hypothesis
-from acoustube.inversion.likelihood import echo_of, weights, whitened
+from acoustube.inversion.likelihood import deviance_of, echo_of, weights, whitened
 from acoustube.inversion.parameters import cost_of_press, split
 from acoustube.inversion.peeling import peeled
 from acoustube.inversion.search import Templates, front_of
@@ -91,6 +91,8 @@ def test_deviance_is_that_of_the_covariance(rangefinder, learned, quiet, error, 
     expected = 2 * freedom * (np.sum(np.abs(white) ** 2) + determinant)
     known = weights(model, noise, error, echo, spread)
     found = 2 * np.sum(np.abs(known(rest)) ** 2) + 2 * known.log_determinant
+    assert found == pytest.approx(expected, abs=2e-3)
+    found = deviance_of(model, noise, [0.5, error], echo, [0.0, spread], rest)[1]
     assert found == pytest.approx(expected, abs=2e-3)
     once, size = whitened(model, noise, error, echo, spread, np.stack([rest, 2 * rest]))
     for one, scale in zip(once, (1, 2), strict=True):

@@ -15,7 +15,7 @@ from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.inversion.detection import detection_limit
 from acoustube.inversion.doubt import doubted
-from acoustube.inversion.goodness import good_fit, largest_residual, unexplained
+from acoustube.inversion.goodness import EXCESS, good_fit, largest_residual, unexplained
 from acoustube.inversion.hypotheses import HOPELESS, Builder, Hypothesis
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.model_error import Discrepancy, discrepancy
@@ -121,7 +121,7 @@ class Inversion:
 
     @property
     def fits(self) -> bool:
-        """Whether the contacts explain the echo: see :func:`good_fit`."""
+        """Goodness of fit: whether the contacts explain the echo (:func:`.good_fit`)."""
         return good_fit(self.misfit, self.residual)
 
     @property
@@ -281,11 +281,11 @@ class Inverter:
             for name in ("temperature", "gain", "stretch")
         }
         measured, explained = self._echoes(best, builder)
-        misfit = float("nan")
+        base, misfit = self.model.base, float("nan")
         if contacts:
-            misfit = max(unexplained(measured, explained, builder), best.error)
-        base = self.model.base
-        residual, span = largest_residual(measured - explained, best, builder)
+            rest, echo = builder.quiet(np.stack([measured - explained, explained]))
+            misfit = max(unexplained(rest, echo, base.freedom, EXCESS), best.error)
+        residual, span = largest_residual(best.whiten(measured - explained), base)
         return Inversion(
             contacts=contacts, misfit=misfit,
             residual=residual, residual_span=span, hypotheses=chain,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from acoustube.inversion.hypotheses import Builder, Hypothesis
+from acoustube.inversion.baseband import Baseband
 from acoustube.waves.scattering import Complex
 
 MISFIT = 0.15
@@ -35,24 +35,19 @@ def good_fit(misfit: float, residual: float) -> bool:
     return not (misfit > MISFIT or residual > RESIDUAL)
 
 
-def largest_residual(
-    rest: Complex, best: Hypothesis, builder: Builder
-) -> tuple[float, tuple[float, float]]:
+def largest_residual(white: Complex, base: Baseband) -> tuple[float, tuple[float, float]]:
     """Return the largest mean square of a residual in any part, and the part's distances in m.
 
     They are :attr:`.Inversion.residual` and :attr:`.Inversion.residual_span`.
 
     Parameters
     ----------
-    rest : ndarray
-        Recorded less modelled baseband in counts, (n_time,).
-    best : Hypothesis
-        Hypothesis whose weights whiten it.
-    builder : Builder
-        Builder of the hypothesis.
+    white : ndarray
+        Whitened residual, (n_time,).
+    base : Baseband
+        Baseband of its samples.
     """
-    base = builder.model.base
-    power = np.abs(best.whiten(rest)) ** 2 / base.freedom
+    power = np.abs(white) ** 2 / base.freedom
     length = min(max(round(WINDOW / (base.interval * base.freedom)), 1), len(power))
     parts = np.convolve(power, np.full(length, 1 / length), "valid")
     first = int(np.argmax(parts))
@@ -60,18 +55,18 @@ def largest_residual(
     return float(parts[first]), span
 
 
-def unexplained(measured: Complex, explained: Complex, builder: Builder) -> float:
+def unexplained(rest: Complex, echo: Complex, freedom: float, excess: float = 0.0) -> float:
     """Return the fraction of the echo's amplitude that neither model nor noise explains.
 
     Parameters
     ----------
-    measured, explained : ndarray
-        Baseband of the cycles and of the presses, each less that of the untouched tube, in counts,
-        (n_time,).
-    builder : Builder
-        Builder of the hypothesis.
+    rest, echo : ndarray
+        Residual and echo of the presses, whitened without an error of the model, (n_time,).
+    freedom : float
+        Expected square of a sample of the residual.
+    excess : float, optional
+        Margin in standard deviations of the noise's energy, such as :data:`EXCESS`.
     """
-    rest = builder.quiet(measured - explained)
-    noise = builder.model.base.freedom * len(rest)
-    beyond = np.sum(np.abs(rest) ** 2) - noise - EXCESS * noise**0.5
-    return float(np.sqrt(max(beyond, 0.0) / np.sum(np.abs(builder.quiet(explained)) ** 2)))
+    noise = freedom * len(rest)
+    beyond = np.sum(np.abs(rest) ** 2) - noise - excess * noise**0.5
+    return float(np.sqrt(max(beyond, 0.0) / np.sum(np.abs(echo) ** 2)))

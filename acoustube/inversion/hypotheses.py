@@ -21,7 +21,7 @@ from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.other_depths import other_depths
 from acoustube.inversion.parameters import CLOSEST, joined, least_gain, split
 from acoustube.inversion.search import Templates, front_of
-from acoustube.inversion.whitening import Weights
+from acoustube.inversion.whitening import Weights, mean_square
 from acoustube.waves.scattering import Complex
 
 ERRORS = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4)
@@ -386,9 +386,8 @@ class Builder:
         """Return the hypothesis of fits, with its evidence and mean square residual."""
         deviance = float(evidence(self.model, tools, fits, whiten)[0])
         value = self.modelled(tools, fits.parameters[0])
-        rest = whiten(self.samples - value)
-        mean_square = float(np.mean(np.abs(rest) ** 2)) / self.model.base.freedom
-        return Hypothesis(tools, fits, error, whiten, deviance, mean_square)
+        square = mean_square(whiten(self.samples - value), self.model.base.freedom)
+        return Hypothesis(tools, fits, error, whiten, deviance, square)
 
 
 def _without(known: Hypothesis, number: int) -> tuple[tuple[int, ...], Fits]:

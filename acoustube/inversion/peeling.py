@@ -13,6 +13,7 @@ import numpy as np
 from acoustube.base.types import Array
 from acoustube.inversion.hypotheses import LOUD, Builder, Hypothesis
 from acoustube.inversion.parameters import least_gain
+from acoustube.inversion.whitening import mean_square
 
 PARTS = 0.7e-3, 1.2e-3
 """Durations in s of the first part of an echo, tried one after the other."""
@@ -109,8 +110,8 @@ def _with_one_more(
     found = []
     for tools, fits in builder.with_one_more(known, whiten, within, least)[:1]:
         left = whiten(builder.samples - builder.modelled(tools, fits.parameters[0]))
-        mean_square = float(np.mean(np.abs(left) ** 2)) / builder.model.base.freedom
-        found.append(Hypothesis(tools, fits.first(1), 0.0, whiten, np.inf, mean_square))
+        square = mean_square(left, builder.model.base.freedom)
+        found.append(Hypothesis(tools, fits.first(1), 0.0, whiten, np.inf, square))
     return found
 
 

@@ -18,7 +18,7 @@ from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.inversion.cycle import Cycle
 from acoustube.inversion.estimate import Contact
-from acoustube.inversion.goodness import MISFIT
+from acoustube.inversion.goodness import MISFIT, unexplained
 from acoustube.inversion.hypotheses import Builder
 from acoustube.inversion.likelihood import weights
 from acoustube.inversion.model import NUISANCES, ForwardModel
@@ -75,7 +75,7 @@ class Tracked:
 
     @property
     def fits(self) -> bool:
-        """Whether the misfit is at most :data:`acoustube.inversion.goodness.MISFIT`, or nan.
+        """Goodness of fit: true if the misfit is at most :data:`.goodness.MISFIT`, or nan.
 
         Unlike :class:`acoustube.inversion.Inversion`, the tracker reports no residual.
         """
@@ -223,10 +223,12 @@ class ContactTracker:
             contacts.append(Contact(one.probability, distance, told(2 * i + 1), force, tool))
             numbers.append(one.number)
         first = 2 * len(best.tools)
-        base = model.base
+        base, misfit = model.base, np.nan
+        if contacts:
+            rest = self.quiet(found.rest[0])
+            misfit = unexplained(rest, self.quiet(explained), base.freedom)
         return Tracked(
-            contacts, numbers, self._misfit(found.rest[0], explained) if contacts else np.nan,
-            told(first), told(first + NUISANCES.index("gain")),
+            contacts, numbers, misfit, told(first), told(first + NUISANCES.index("gain")),
             base.places, measured, explained,
         )  # fmt: skip
 
@@ -247,9 +249,3 @@ class ContactTracker:
         power = (back @ back.conj().swapaxes(1, 2)).real
         own = found.information - 2 / self.model.base.freedom * noise * power
         return np.maximum(np.einsum("nij,njk,nki->ni", whole, own, whole), 0.0)
-
-    def _misfit(self, rest: Complex, explained: Complex) -> float:
-        """Return the root of the fraction of the echo's energy that is not explained."""
-        expected = self.model.base.freedom * len(rest)
-        beyond = np.sum(np.abs(self.quiet(rest)) ** 2) - expected
-        return float(np.sqrt(max(beyond, 0.0) / np.sum(np.abs(self.quiet(explained)) ** 2)))

@@ -23,7 +23,7 @@ from acoustube.inversion.births import (
 )
 from acoustube.inversion.cycle import Cycle, Known
 from acoustube.inversion.fewer import UNUSUAL, one_for_two, refitted, widened
-from acoustube.inversion.goodness import MISFIT
+from acoustube.inversion.goodness import MISFIT, unexplained
 from acoustube.inversion.likelihood import Echo, echo_from, weights
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.motion import (
@@ -38,7 +38,7 @@ from acoustube.inversion.motion import (
 from acoustube.inversion.parameters import split
 from acoustube.inversion.proposals import Proposals
 from acoustube.inversion.search import around
-from acoustube.inversion.whitening import Weights
+from acoustube.inversion.whitening import Weights, mean_square
 from acoustube.waves.scattering import Complex
 
 BRANCHES, YOUNG_BRANCHES = 2, 5
@@ -129,11 +129,11 @@ class Track:
         prior = predicted(self.branches, self.motion, self.model.priors, step)
         found = self._pruned(self._updated(prior, cycle.samples, forget=FORGET))
         new = any(one.age in NEW for one in self.known) or (self._young() and self._loud(found))
-        if self.known and (new or self._bad(found, cycle)):
+        if self.known and (new or self._bad(found)):
             found = self._sought_near(prior, found, cycle)
         if cycle.number % MERGED == 0:
             found = self._merged(found, cycle)
-        self._judge(found, cycle)
+        self._judge(found)
         found = self._without_gone(found, cycle)
         self.rests.append(found.rest[0])
         found = self._explored(prior, found, cycle)
@@ -158,10 +158,10 @@ class Track:
     def _young(self) -> bool:
         return any(one.age < YOUNG for one in self.known)
 
-    def _judge(self, found: Update, cycle: Cycle) -> None:
+    def _judge(self, found: Update) -> None:
         """Adapt the error of the model to the residual, and count badly fitted cycles in a row."""
-        self.n_bad = self.n_bad + 1 if self._bad(found, cycle) else 0
-        misfit = self.misfit(found, cycle)
+        self.n_bad = self.n_bad + 1 if self._bad(found) else 0
+        misfit = self.misfit(found)
         if self.known:
             squared = (1 - ADAPTED) * self.error**2 + ADAPTED * min(misfit, RISE * self.error) ** 2
             self.error = float(np.clip(np.sqrt(squared), *ERRORS))
@@ -170,13 +170,12 @@ class Track:
         self.score = likelihood if not self.n_cycles else 0.7 * self.score + 0.3 * likelihood
 
     def _mean_square(self, found: Update) -> float:
-        square = float(np.mean(np.abs(self.whiten(found.rest[0])) ** 2))
-        return square / self.model.base.freedom
+        return mean_square(self.whiten(found.rest[0]), self.model.base.freedom)
 
-    def _bad(self, found: Update, cycle: Cycle) -> bool:
-        return self._mean_square(found) > BAD or self.misfit(found, cycle) > MISFIT
+    def _bad(self, found: Update) -> bool:
+        return self._mean_square(found) > BAD or self.misfit(found) > MISFIT
 
-    def misfit(self, found: Update, cycle: Cycle) -> float:
+    def misfit(self, found: Update) -> float:
         """Return the root of the residual's energy beyond that of noise and clutter.
 
         It is relative to the root of the energy of the contacts' echo in the previous cycle, and 0
@@ -184,10 +183,8 @@ class Track:
         """
         if self.echo is None:
             return 0.0
-        rest = self.quiet(np.stack([found.rest[0], self.echo.value]))
-        power = np.sum(np.abs(rest) ** 2, axis=1)
-        expected = self.model.base.freedom * len(cycle.samples)
-        return float(np.sqrt(max(power[0] - expected, 0.0) / power[1]))
+        rest, echo = self.quiet(np.stack([found.rest[0], self.echo.value]))
+        return unexplained(rest, echo, self.model.base.freedom)
 
     def _keep_echo(self, found: Update, cycle: Cycle) -> None:
         """Store the echo of the contacts for the weights of the next cycle."""

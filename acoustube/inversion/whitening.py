@@ -80,6 +80,11 @@ class Weights(ABC):
         return self.adjoint(self(samples))
 
 
+def mean_square(white: Complex, freedom: float) -> float:
+    """Return the mean square of whitened samples relative to its expectation `freedom`."""
+    return float(np.mean(np.abs(white) ** 2)) / freedom
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RankOneWeights(Weights):
     """Whitening of independent errors and an error of known shape.

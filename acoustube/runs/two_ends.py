@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -62,7 +63,7 @@ class EndsContacts(NamedTuple):
 
     @property
     def fits(self) -> bool:
-        """Whether the contacts explain the echoes: see :func:`.goodness.good_fit`."""
+        """Goodness of fit: whether the contacts explain the echoes (:func:`.good_fit`)."""
         return good_fit(self.misfit, self.residual)
 
     @property
@@ -159,25 +160,20 @@ class EndsInverter:
         """Return the contacts that one end or both detect, in a tube of a length in m."""
         known = self.near.tool_library, self.near.sensor.priors
         joined, found = joined_contacts(near.contacts, far.contacts, length, *known), []
-        places = np.array([one.contact.distance.value for one in joined])
-        missed = [np.array([i is None for i in each], bool) for each in (
-            [one.near for one in joined], [one.far for one in joined]
-        )]  # fmt: skip
-        fits = [
-            (near.misfit, _own_residual(near, places[missed[0]])),
-            (far.misfit, _own_residual(far, length - places[missed[1]])),
-        ]
-        for i, one in enumerate(joined):
-            ends = [fit for fit, lost in zip(fits, missed, strict=True) if not lost[i]]
+        lost = [one.contact.distance.value for one in joined if one.near is None]
+        hidden = [length - one.contact.distance.value for one in joined if one.far is None]
+        fits = [(end.misfit, _own_residual(end, z)) for end, z in ((near, lost), (far, hidden))]
+        for one in joined:
+            seen = one.near is not None, one.far is not None
+            ends = list(itertools.compress(fits, seen))
             misfit, residual = min(ends, key=_excess)
             # Where the ends contradict each other, the contact counts as unexplained.
             if not one.agree:
                 misfit = max(1.0, *(fit[0] for fit in ends))
             found.append(ContactFit(one.contact, misfit, residual))
         misfit = max((one.misfit for one in found), default=float("nan"))
-        return EndsContacts(
-            found, misfit, float(np.fmax(fits[0][1], fits[1][1])), near, (far, length)
-        )
+        residual = float(np.fmax(fits[0][1], fits[1][1]))
+        return EndsContacts(found, misfit, residual, near, (far, length))
 
 
 def _excess(fit: tuple[float, float]) -> float:
@@ -186,13 +182,14 @@ def _excess(fit: tuple[float, float]) -> float:
     return float("inf") if np.isnan(residual) else max(misfit / MISFIT, residual / RESIDUAL)
 
 
-def _own_residual(end: Inversion, missed: Array) -> float:
+def _own_residual(end: Inversion, missed: Sequence[float]) -> float:
     """Return the residual of an end, or nan if a contact that the end misses may cause it.
 
     `missed` are the distances from that end in m of such contacts. The echo of a contact arrives
     later than that of nearer places, so that it causes no residual in front of the contact.
     """
-    return float("nan") if np.any(missed < end.residual_span[1]) else end.residual
+    last = end.residual_span[1]
+    return float("nan") if any(place < last for place in missed) else end.residual
 
 
 def limit_rows(path: Path, group: int, found: EndsContacts, library: Library) -> list[list[object]]:
