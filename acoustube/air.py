@@ -144,6 +144,16 @@ def sound_speed(temperature: float) -> float:
     return sqrt(HEAT_CAPACITY_RATIO * SPECIFIC_GAS_CONSTANT * _absolute(temperature))
 
 
+def air_of_speed(speed: float) -> Air:
+    """Return ordinary air with a speed of sound in m/s, for its losses.
+
+    Its temperature is that of dry air with this speed, within the range of :func:`air_at`.
+    """
+    absolute = speed**2 / (HEAT_CAPACITY_RATIO * SPECIFIC_GAS_CONSTANT)
+    low, high = TEMPERATURES
+    return air_at(min(max(absolute + ABSOLUTE_ZERO, low), high))
+
+
 def neighbouring_air(temperature: float) -> tuple[Air, Air, float]:
     """Return the air 0.5 K below and 0.5 K above a temperature in degC, and their difference in K.
 

@@ -52,7 +52,7 @@ from acoustube.runs.inversion import RecordingInverter, Sensor
 from acoustube.runs.libraries import files
 from acoustube.runs.libraries.plan import tool_plans
 from acoustube.runs.two_ends import EndsContacts
-from acoustube.waves import PlacedScatterer, SampledPulse, Scattering, transfer
+from acoustube.waves import PlacedScatterer, SampledPulse, Scattering, network, transfer
 from acoustube.waves.modes import axial_wavenumber, cut_on_frequency
 
 RADIUS, MODES = 3.95e-3, ("00", "11c", "21c")
@@ -142,8 +142,12 @@ def inverter(model):
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
-def test_echo_of_presses_is_that_of_the_network_of_waves(n):
-    """The echo is that of another code, with all multiple reflections, also at the face."""
+def test_echo_of_presses_is_that_of_the_network_of_waves(n, monkeypatch):
+    """The echo is that of another code, with all multiple reflections, also at the face.
+
+    These synthetic matrices are not zero below cut-ons, and are taken as they are.
+    """
+    monkeypatch.setattr(network, "interpolate_scattering", lambda one, *_: one.s)
     places, depths = np.array([0.41, 0.63, 1.3])[:n], np.array([4.2e-3, 5.1e-3, 6.3e-3])[:n]
     air, frequency = air_at(20.0), np.arange(37e3, 47e3, 100.0)
     k = np.stack([axial_wavenumber(*one, frequency, RADIUS, air) for one in NUMBERS], -1)
@@ -154,7 +158,6 @@ def test_echo_of_presses_is_that_of_the_network_of_waves(n):
     found = echo(given[:-1], heard, places[None], Waves(k[None], k), 0.3)
     pressure = transfer(presses, air, frequency, radius=RADIUS, length=2.5, probes=[0.0],
                         source_reflection=0.3, far_reflection=0.0)[0]  # fmt: skip
-    # At these frequencies the interpolation of that code is exact to rounding.
     expected = (pressure - 1) / 1.3
     assert np.abs(found.value[0] - expected).max() < 1e-9 * np.abs(expected).max()
     # Also by the network of wrapped tubes, with all derivatives, here for a straight tube.

@@ -68,8 +68,11 @@ def free():
 
 @pytest.mark.parametrize("torsion", [0.0, 3.4])
 def test_bent_modes_continue_to_complex_frequencies(torsion):
-    """By Taylor's series from real frequencies, to second order; the next term is 1e-6."""
-    frequency, below = np.arange(38e3, 41e3, 20.0), 57.0
+    """By Taylor's series from real frequencies, to second order; the next term is 1e-6.
+
+    4 kHz below the cut-on of (2,1), next to which the series converges slowly.
+    """
+    frequency, below = np.arange(35e3, 38e3, 20.0), 57.0
     part = Bent(length=1.0, curvature=20.0, torsion=torsion)
     real, there = (
         bent_modes(AIR, f, part, radius=RADIUS, modes=NAMES, count=3)
@@ -122,24 +125,24 @@ def test_wave_at_the_face_is_that_of_all_its_modes(library):
 
 @pytest.mark.parametrize("contacts", [[(1.3, 6e-3)], [(0.8, 6e-3), (1.4, 5e-3)]])
 def test_cycle_on_an_arm_is_that_of_the_bends_in_series(sensor, free, straight, contacts):
-    """Cycles agree with those of bends of constant curvature over half a turn each, within 3 %.
+    """Cycles agree with those of bends in short parts of constant curvature, within 2 %.
 
-    The bends' own error is 1 to 2 %. Echoes in a straight tube differ by far more.
+    They differ by 0.8 to 1.2 %. Echoes in a straight tube differ by far more.
     """
     given = [Contact(place=z, depth=d) for z, d in contacts]
     placed = wrapped_presses(*((d, z) for z, d in contacts))
     exact = record(placed, QUIET, length=LENGTH, tube_seed=7)["signal"].values[0] - free
     found = sensor.read(given) - sensor.read([])
-    assert np.linalg.norm(found - exact) < 0.03 * np.linalg.norm(exact)
+    assert np.linalg.norm(found - exact) < 0.02 * np.linalg.norm(exact)
     off = straight.read(given) - straight.read([]) - exact
     assert np.linalg.norm(off) > 0.3 * np.linalg.norm(exact)
 
 
 def test_untouched_tube_is_that_of_the_bends_in_series(sensor, free):
-    """Clutter and far end; the reference has half turns of constant curvature, and 4 % differ."""
+    """Clutter and far end; 1.6 % differ."""
     late = slice(round(2 * 0.4 / 343 * QUIET.sampling_rate), None)
     found, exact = (one[late] - np.median(one) for one in (sensor.read([]), free))
-    assert np.linalg.norm(found - exact) < 0.06 * np.linalg.norm(exact)
+    assert np.linalg.norm(found - exact) < 0.03 * np.linalg.norm(exact)
     other = record([], QUIET, length=LENGTH, tube_seed=7)["signal"].values[0][late]
     assert np.linalg.norm(other - np.median(other) - exact) > 0.3 * np.linalg.norm(exact)
 

@@ -86,11 +86,12 @@ def test_arm_that_is_hardly_curved_is_a_straight_tube():
 def test_wrap_of_a_metre_is_known_between_its_frequencies(step):
     """Interpolated over steps as of presses, against bends computed at the frequencies.
 
-    The reference has parts a quarter as long, and modes of larger wavenumbers.
+    The reference has parts a third as long, and modes of larger wavenumbers. With the half turns of
+    constant curvature that were used before, mode conversion is off by 5e-3.
     """
     stop, at = FOREARM.tube_length, FOREARM.tube_length + 1e-6
     f = np.sort(np.random.default_rng(2).uniform(36e3, 48e3, 25))
-    edges = np.linspace(FOREARM.lead, stop, 33)
+    edges = np.linspace(FOREARM.lead, stop, 221)
     parts = [
         Bent(length=edges[1] - edges[0], curvature=float(curvature), torsion=float(torsion))
         for curvature, torsion in zip(
@@ -103,8 +104,10 @@ def test_wrap_of_a_metre_is_known_between_its_frequencies(step):
     bent = winding(FOREARM, AIR, band, FOREARM.lead, stop, radius=BORE, modes=names)
     here = interpolate_scattering(bent.scattering, f)
     assert stop - FOREARM.lead > 1.0
-    assert np.sqrt(np.mean(np.abs(here - there)[:, 1, 0, 0, 0] ** 2)) < 1e-3
-    assert np.abs(here - there).max() < 6e-3
+    off = np.abs(here - there)
+    assert np.sqrt(np.mean(off[:, 1, 0, 0, 0] ** 2)) < 1e-4
+    assert off[:, 1, 1, 0, 0].max() < 1e-3
+    assert off.max() < (1e-3 if step == 100.0 else 6e-3)
     # As the sound of a tube, between both ends of the wrap.
     ends = axial_wavenumber(0, 0, f, BORE, AIR, lossy=True) * (FOREARM.lead + 1e-6)
     sound = transfer(

@@ -48,7 +48,7 @@ NOT_FOLLOWED = tuple(
             "cache", "checks", "errors", "files", "foreign", "interrupts", "moved", "names",
             "netcdf", "remnants", "report", "rules", "version", "writing")),
         "runs.config", "runs.results", "runs.scattering_file", "signals", "waves.bends",
-        "waves.network",
+        "waves.bent_parts", "waves.network",
     )
 )  # fmt: skip
 """Prefixes of modules whose code is not hashed into the key of a cached result. They prepare

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import spline_filter1d
 
+from acoustube.air import air_of_speed
 from acoustube.base.types import Array
 from acoustube.inversion.tools import Tool
-from acoustube.waves.interpolation import onsets, restored, steps, without
+from acoustube.waves.interpolation import Axial, fitting, lossy, onsets, restored, steps, without
 from acoustube.waves.modes import cut_on_frequency
-from acoustube.waves.modes.grid_modes import mode_numbers
+from acoustube.waves.modes.grid_modes import change_by_losses, mode_numbers
 from acoustube.waves.scattering import Complex
 
 FINER = 2
@@ -151,9 +152,12 @@ class ToolTable:
         flat = kept.reshape(len(tool.depth), len(tool.frequency), -1)
         names = tool.modes[:modes]
         cut_ons = [cut_on_frequency(*mode_numbers(n), tool.radius, tool.sound_speed) for n in names]
+        losses = partial(change_by_losses, names, tool.radius, air_of_speed(tool.sound_speed))
+        axial = lossy(np.array(cut_ons), tool.sound_speed, losses)
         fine = _refined(
-            tool.frequency, flat, self.start + step * np.arange(self.count), np.array(cut_ons)
-        )
+            tool.frequency, flat, self.start + step * np.arange(self.count), np.array(cut_ons),
+            axial,
+        )  # fmt: skip
         filtered = spline_filter1d(fine, axis=1, mode="mirror", output=complex)
         self.value = filtered.astype(np.complex64)
         self.slope = CubicSpline(tool.depth, filtered)(tool.depth, 1).astype(np.complex64)
@@ -208,11 +212,15 @@ def _front_coefficients(part: Complex, modes: int) -> Complex:
     return found
 
 
-def _refined(given: Array, flat: Complex, wanted: Array, cut_ons: Array) -> Complex:
+def _refined(given: Array, flat: Complex, wanted: Array, cut_ons: Array, axial: Axial) -> Complex:
     """Return scattering (n_depths, n_given, n) at other frequencies, (n_depths, n_wanted, n)."""
-    found = steps(given, wanted, onsets(cut_ons))
-    matrix = _refinement(given, wanted)
-    return np.stack([restored(found, matrix @ without(found, one), one) for one in flat])
+    found, matrix = steps(given, wanted, onsets(cut_ons), axial), _refinement(given, wanted)
+
+    def refined(one: Complex) -> Complex:
+        own = fitting(found, one)
+        return restored(own, matrix @ without(own, one), one)
+
+    return np.stack([refined(one) for one in flat])
 
 
 def _refinement(given: Array, wanted: Array) -> Complex:

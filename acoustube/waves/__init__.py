@@ -3,14 +3,15 @@
 Reading order: the packages `grid` (lumens as cut cells), `scheme` (the leapfrog scheme, its time
 step, losses and absorbing layers) and `modes` (duct modes and probes); then `propagation`
 (recordings of a pulse), `port_waves` and `scattering` (scattering matrices of lumens), `spectral`
-(such matrices by a solver in the frequency domain), `bends` (scattering matrices of bends),
-`network` (tubes combined from scattering matrices) and `budget` (the errors of a run). `bends` uses
-`bent_modes`; `network` uses `star_product`, `interpolation` (of scattering matrices over frequency)
-and `network_checks`.
+(such matrices by a solver in the frequency domain), `bent_parts` and `bends` (scattering matrices
+of bends), `bent_modes` (the modes of a bend), `network` (tubes combined from scattering matrices)
+and `budget` (the errors of a run). `network` uses `star_product`, `interpolation` (of scattering
+matrices over frequency) and `network_checks`.
 """
 
 from acoustube.base.moved import renamed
-from acoustube.waves.bends import Bent, bend, joined_bends
+from acoustube.waves.bends import bend, joined_bends
+from acoustube.waves.bent_parts import Bent
 from acoustube.waves.budget import Budget, error_budget
 from acoustube.waves.grid.cells import CutCells, cut_cells
 from acoustube.waves.grid.section import section_cut_ons

@@ -1,111 +1,48 @@
-"""Scattering of the modes of a round bore by bends: the multimodal method.
+"""Scattering matrices of bends of a round bore, one or several in series.
 
-The centre line has the curvature kappa, the torsion tau and the arc length s. Let x point across
-the tube towards the centre of curvature, phi be the azimuth and h = 1 - kappa x. At the angular
-frequency omega = k c the pressure p and u, the axial velocity times omega rho, obey
-
-    T p = -j h u,    T u = -j (k^2 h + div h grad) p,    T = d/ds - tau d/dphi,
-
-with div and grad across the tube. This is exact for a torus and for a helix. With p and u as sums
-of the straight bore's modes psi_m, of coefficients a and a_u, the equations become
-
-    a' = -j B a_u + tau M a,    a_u' = -j K a + tau M a_u,
-    B = 1 - kappa X,    K = k_z^2 - kappa (k^2 X - Y),
-    X = <psi x psi>,    Y = <grad psi x grad psi>,    M = <psi d psi/dphi>.
-
-<> is the mean over the section, for modes of mean square 1, and k_z^2 the diagonal matrix of the
-straight bore's squared axial wavenumbers, with its losses; the effect of curvature on these is
-neglected. No coefficient depends on s. The scattering matrix of a slice, too short for its
-evanescent modes to grow, is doubled by the star product until it is that of the bend: the
-multimodal method of [1]_ and [2]_, with doubling in place of the Riccati equation. Parts of
-different curvature are combined by the same product.
-
-A bend flattens the tube. To first order this shifts the cut-ons of the modes (1, n) only, see
-:mod:`acoustube.waves.modes.bore_couplings`; their k_z^2 on the diagonal changes accordingly. The
-coupling where the flattening begins is neglected, because a tube flattens gradually.
-
-References
-----------
-.. [1] Félix, S. and Pagneux, V. (2001). Sound propagation in rigid bends: a multimodal approach.
-   Journal of the Acoustical Society of America 110, 1329-1337.
-.. [2] Félix, S. and Pagneux, V. (2002). Multimodal analysis of acoustic propagation in
-   three-dimensional bends. Wave Motion 36, 157-168. doi:10.1016/S0165-2125(02)00009-4
+The method and its references are in :mod:`acoustube.waves.bent_parts`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import reduce
-from math import ceil, log2, pi
+from math import ceil, pi
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
-from scipy.linalg import expm
 
 from acoustube.air import Air
-from acoustube.base.checks import BORE, FREQUENCIES, Optional, Several, check_fields, checked
+from acoustube.base.checks import BORE, FREQUENCIES, Optional, Several, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
+from acoustube.waves.bent_parts import (
+    LONGEST,
+    Bent,
+    equal_parts,
+    plane_wave,
+    scattering_of_parts,
+)
 from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.modes import cut_on_frequency
 from acoustube.waves.modes.bore_couplings import BoreModes, bore_modes
 from acoustube.waves.modes.grid_modes import mode_numbers, wavenumbers
 from acoustube.waves.port_waves import Complex
-from acoustube.waves.scattering import ModalScattering, PlaneWave
-from acoustube.waves.star_product import from_transfer, star_product
+from acoustube.waves.scattering import ModalScattering
+from acoustube.waves.star_product import star_product
 
 LARGEST_ZERO = 10.0
 """Largest j'mn, zero of a Bessel function's derivative, of the modes in the sums. With 14 the
 scattering by the bends of a tube wrapped as in the sleeve paper ("Wearable, Fabric-Embedded
 Acoustic Waveguides for Meter-Scale Contact Localization and Force Sensing") changes by 1e-5."""
-SLICE_EXPONENT = 0.5
-"""Largest growth exponent of the most evanescent mode over a slice."""
-CUT_ON_MARGIN = 1e-6
-"""Lower limit of abs(kz) / k: closer to cut-on, forward and backward wave are almost the same."""
 FREQUENCY_BATCH = 64
 """Number of frequencies that are computed together."""
-PLANE_NODES = 33
-"""Number of nodes over frequency for interpolation of the plane wave's wavenumber in a bend."""
-LONGEST = 100.0
-"""Largest length of a bend in m: along a longer one the amplitudes underflow."""
 LARGEST_CURVATURE = 0.95
 """Largest ratio of bore radius to bend radius; at 1 the inner wall is folded."""
 HIGHEST = Number(1, 30.5)
 """Bounds of the largest Bessel zero j'mn: from 30.6, of (1,10), names as ``11c`` are ambiguous."""
 NAMES = Optional(Several(str, 1))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Bent:
-    """A part of a tube of constant curvature and torsion.
-
-    Attributes
-    ----------
-    length : float
-        Length of the centre line in m.
-    curvature, torsion : float
-        Curvature and torsion of the centre line in 1/m; see :func:`bend`.
-    ovality : float
-        Relative decrease of the bore's radius in the plane of the bend, and increase across it.
-
-    Raises
-    ------
-    ConfigError
-        If the length is not from 1e-9 to 100 m, the curvature negative or the ovality beyond +-1.
-    """
-
-    length: float
-    curvature: float
-    torsion: float = 0.0
-    ovality: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_fields(
-            self, length=Number(1e-9, LONGEST, "m"), curvature=Number(0, 1e6, "1/m"),
-            torsion=Number(-1e6, 1e6, "1/m"), ovality=Number(-1, 1),
-        )  # fmt: skip
 
 
 @checked(
@@ -185,6 +122,7 @@ def joined_bends(
     lossy: bool = True,
     modes: Sequence[str] | None = None,
     highest: float = LARGEST_ZERO,
+    gradual: bool = False,
 ) -> ModalScattering:
     """Return the scattering matrix of several bends in series.
 
@@ -194,6 +132,10 @@ def joined_bends(
         See :func:`bend`.
     parts : sequence of Bent
         In their order along the tube. The normal, towards the centre of curvature, is continuous.
+    gradual : bool
+        Whether curvature and torsion are smooth functions of the part's number. Of many parts of
+        equal length only a few (:data:`~acoustube.waves.bent_parts.GRADUAL_NODES`) are then
+        computed, and the others interpolated by a polynomial. Default False.
 
     Returns
     -------
@@ -205,36 +147,14 @@ def joined_bends(
     _check_sound(frequency, radius, highest, air)
     bore = bore_modes(highest)
     names = _result_modes(modes, bore, frequency, radius, air)
-    scattered = [
-        reduce(
-            star_product, [_bend_scattering(air, some, bore, radius, part, lossy) for part in parts]
-        )
+    groups = equal_parts(parts) if gradual else [[part] for part in parts]
+    s = np.concatenate([
+        reduce(star_product, scattering_of_parts(air, some, bore, radius, groups, lossy))
         for some in np.array_split(frequency, ceil(len(frequency) / FREQUENCY_BATCH))
-    ]
-    s = np.concatenate(scattered)
+    ])  # fmt: skip
     length = sum(part.length for part in parts)
-    found = _power_normalised(s, names, bore, air, frequency, radius=radius, length=length)
-    return replace(found, inside=_plane_wave(air, frequency, bore, radius, parts, lossy))
-
-
-def _plane_wave(
-    air: Air, frequency: Array, bore: BoreModes, radius: float, parts: Sequence[Bent], lossy: bool
-) -> PlaneWave:
-    """Return the plane wave in bends: the bent bore's travelling mode of largest wavenumber."""
-    few = len(frequency) <= PLANE_NODES
-    nodes = frequency if few else np.linspace(frequency[0], frequency[-1], PLANE_NODES)
-    found = []
-    for part in parts:
-        generator, _ = bend_generator(air, nodes, bore, radius, part, lossy)
-        own = 1j * np.linalg.eigvals(generator)
-        # With losses or torsion the wavenumbers of evanescent modes have real parts too.
-        travels = np.abs(own.imag) <= own.real
-        first = np.argmax(np.where(travels, own.real, -np.inf), axis=1)
-        found.append(np.take_along_axis(own, first[:, None], 1)[:, 0])
-    wavenumber = np.stack(found)
-    if not few:
-        wavenumber = CubicSpline(nodes, wavenumber, axis=1)(frequency)
-    return PlaneWave(np.array([part.length for part in parts]), wavenumber)
+    found = _power_normalised(s, names, bore, air, frequency, radius, length, lossy)
+    return replace(found, inside=plane_wave(air, frequency, bore, radius, groups, lossy))
 
 
 def _power_normalised(
@@ -243,9 +163,9 @@ def _power_normalised(
     bore: BoreModes,
     air: Air,
     frequency: Array,
-    *,
     radius: float,
     length: float,
+    lossy: bool,
 ) -> ModalScattering:
     """Return the power-normalised scattering of some modes between the ends of a bend."""
     cut_ons = np.array(
@@ -255,10 +175,11 @@ def _power_normalised(
     place = mode_places(names, bore)
     m = len(bore.names)
     s = s.reshape(len(frequency), 2, m, 2, m)[:, :, place][..., place]
-    straight = wavenumbers(names, frequency, radius, air, lossy=False)
-    # The amplitude is the square root of the power, and no power propagates below cut-on.
-    size = np.where(propagates, np.sqrt(np.abs(straight)), 0.0)
-    inverse = np.where(propagates, 1 / np.where(size > 0, size, 1), 0.0)
+    straight = wavenumbers(names, frequency, radius, air, lossy=lossy)
+    # The amplitude is the square root of the power, and no power propagates below cut-on. With
+    # losses the root is complex, as in :func:`acoustube.waves.spectral.ports.scattering_of`.
+    size = np.where(propagates, np.sqrt(straight), 0.0)
+    inverse = np.where(propagates, 1 / np.where(size != 0, size, 1), 0.0)
     s = size[:, None, :, None, None] * s * inverse[:, None, None, None, :]
     return ModalScattering(
         frequency=frequency,
@@ -342,59 +263,3 @@ def mode_places(wanted: Sequence[str], bore: BoreModes) -> list[int]:
             value=", ".join(unknown), allowed=tuple(bore.names), advice="raise highest",
         )  # fmt: skip
     return [bore.names.index(name) for name in wanted]
-
-
-def _bend_scattering(
-    air: Air, frequency: Array, bore: BoreModes, radius: float, part: Bent, lossy: bool
-) -> Complex:
-    """Return the scattering matrix of a bend, not power-normalised, (n, 2 m, 2 m)."""
-    generator, admittance = bend_generator(air, frequency, bore, radius, part, lossy)
-    growth = part.length * max(bore.zeros.max(), 1.0) / radius  # the plane mode's zero is 0
-    n_doublings = max(0, ceil(log2(growth / SLICE_EXPONENT)))
-    slice_ = expm(generator * (part.length / 2**n_doublings))
-    s = from_transfer(slice_, admittance)
-    for _ in range(n_doublings):
-        s = star_product(s, s)
-    return s
-
-
-def bend_generator(
-    air: Air, frequency: Array | Complex, bore: BoreModes, radius: float, part: Bent, lossy: bool
-) -> tuple[Complex, Complex]:
-    """Return the matrix of the coupled equations in a bend, and the admittances of straight modes.
-
-    Parameters
-    ----------
-    air : Air
-    frequency : ndarray
-        In Hz, real or complex, (n,).
-    bore : BoreModes
-        The m modes in the sums.
-    radius : float
-        Bore radius in m.
-    part : Bent
-    lossy : bool
-
-    Returns
-    -------
-    generator : ndarray
-        Matrix of d/ds for the modes' pressures a, then a_u / k (module's text), 1/m, (n, 2 m, 2 m).
-    admittance : ndarray
-        k_z / k of each mode in the straight bore, (n, m).
-    """
-    k = (2 * pi * frequency / air.sound_speed)[:, None, None]
-    waves = wavenumbers(bore.names, frequency, radius, air, lossy=lossy)
-    nearest = CUT_ON_MARGIN * k[:, 0]
-    waves = np.where(np.abs(waves) < np.abs(nearest), nearest, waves)
-    m, kappa = len(bore.names), part.curvature * radius
-    squares = waves**2 - part.ovality * bore.flattening / radius**2
-    # Velocities are divided by k, so that all blocks have the same order of magnitude.
-    to_pressure = np.eye(m) - kappa * bore.x
-    to_velocity = squares[:, :, None] * np.eye(m) / k**2 - kappa * (
-        bore.x - bore.across / (radius * k) ** 2
-    )
-    generator = np.zeros((len(frequency), 2 * m, 2 * m), complex)
-    generator[:, :m, :m] = generator[:, m:, m:] = part.torsion * bore.twist
-    generator[:, :m, m:] = -1j * k * to_pressure
-    generator[:, m:, :m] = -1j * k * to_velocity
-    return generator, waves / k[:, 0]

@@ -1,7 +1,7 @@
 """Modes of a bore of constant curvature and torsion, and its joints with a straight bore.
 
-The coupled equations of :mod:`acoustube.waves.bends`, whose coefficients do not vary along the arc
-length s, have solutions (p, v) exp(-j beta s). p is the pressure, v is rho c times the axial
+The coupled equations of :mod:`acoustube.waves.bent_parts`, whose coefficients do not vary along the
+arc length s, have solutions (p, v) exp(-j beta s). p is the pressure, v is rho c times the axial
 velocity, both as coefficients of the straight bore's modes, and beta is the wavenumber. These are
 the bent bore's own modes, which propagate in it without mode conversion. For each forward mode,
 (Q p, -Q v) with -beta is a backward mode. The diagonal matrix Q is 1 for straight modes that are
@@ -28,10 +28,9 @@ from acoustube.base.checks import BORE, WAVES, Several, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
-from acoustube.waves.bends import Bent, bend_generator, mode_places
-from acoustube.waves.modes import cut_on_frequency
+from acoustube.waves.bends import mode_places
+from acoustube.waves.bent_parts import Bent, bend_generator
 from acoustube.waves.modes.bore_couplings import bore_modes
-from acoustube.waves.modes.grid_modes import mode_numbers, wavenumbers
 from acoustube.waves.port_waves import Complex
 
 LARGEST_ZERO = 4.5
@@ -144,7 +143,7 @@ def bent_modes(
         Bore radius in m.
     modes : sequence of str
         Names of the m_s straight modes at the joint, as ``11c``. Their coefficients are
-        power-normalised, and zero below cut-on.
+        power-normalised, also below cut-on, where an evanescent mode's root of k_z is complex.
     count : int
         Number m of bent modes.
 
@@ -182,22 +181,14 @@ def bent_modes(
     )
     incident = np.concatenate([np.concatenate([-p, eye], 2), np.concatenate([-v, -y], 2)], 1)
     s = np.linalg.solve(outgoing, incident)
-    cut_ons = [cut_on_frequency(*mode_numbers(name), radius, air.sound_speed) for name in modes]
-    propagates = np.real(frequency)[:, None] > np.array(cut_ons)
-    magnitude = np.abs(admittance[:, place])
-    if np.iscomplexobj(frequency):
-        # The analytic continuation of |k_z|, as for the scattering of power-normalised modes.
-        f = np.conj(frequency)
-        mirrored = wavenumbers(modes, f, radius, air, lossy=True) * air.sound_speed
-        magnitude = np.sqrt(admittance[:, place] * np.conj(mirrored / (2 * np.pi * f[:, None])))
-    root = np.where(propagates, np.sqrt(magnitude), 0.0)
-    inverse = np.where(propagates, 1 / np.where(propagates, root, 1), 0.0)
+    # As in the scattering of presses, also for evanescent modes: k_z and its root are complex.
+    root: Complex = np.sqrt(admittance[:, place])
     at = np.array(place) + size
     return BentModes(
         wavenumber=beta[:, :count],
         passed=root[:, :, None] * s[:, at][..., :count],
         reflected=s[:, :count, :count],
-        returned=root[:, :, None] * s[:, at][..., at] * inverse[:, None],
+        returned=root[:, :, None] * s[:, at][..., at] / root[:, None],
         fields=np.stack([p[..., :count], v[..., :count]], 1),
         symmetry=own,
         signs=own[place],

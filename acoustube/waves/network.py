@@ -5,7 +5,9 @@ losses. Each press couples the modes by its scattering matrix, and both ends ref
 alike. At each frequency the input reflection of everything beyond a plane is built up from the far
 end to the source, press by press (Redheffer's star product [1]_). The waves are then followed from
 the source to the far end. All multiple echoes between presses and ends are included. Evanescent
-modes are neglected between presses, so that the near fields of two presses do not interact.
+modes are neglected between presses, so that the near fields of two presses do not interact, except
+for a mode just below its cut-on, which extends over centimetres
+(:mod:`acoustube.waves.interpolation`).
 
 References
 ----------
@@ -17,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from math import log, pi
 from typing import Any, NamedTuple, TypeVar
 
@@ -39,7 +42,7 @@ from acoustube.base.rules import Number
 from acoustube.waves import network_checks as checks
 from acoustube.waves.grid.polyhedron import Array
 from acoustube.waves.interpolation import interpolate_scattering
-from acoustube.waves.modes.grid_modes import wavenumbers
+from acoustube.waves.modes.grid_modes import change_by_losses, wavenumbers
 from acoustube.waves.port_waves import Complex
 from acoustube.waves.scattering import ModalScattering, PlacedScatterer, Scattering
 from acoustube.waves.scheme.pulse import check_pulse
@@ -206,7 +209,8 @@ def transfer(
     presses = sorted(presses, key=lambda press: press.position)
     checks.check_places(presses, length, probes)
     modes = checks.common_modes(presses)
-    matrices = [interpolate_scattering(press.scattering, frequency) for press in presses]
+    losses = partial(change_by_losses, modes, radius, air) if lossy else None
+    matrices = [interpolate_scattering(press.scattering, frequency, losses) for press in presses]
     waves = wavenumbers(modes, frequency, radius, air, lossy=lossy)
     places = np.array([press.position for press in presses])
     ends = [press.position + press.scattering.extent[1] for press in presses]

@@ -24,7 +24,7 @@ class BoreModes:
     zeros : ndarray
         Zeros j'mn of the Bessel functions' derivatives: cut-on wavenumbers times radius, (n,).
     x, across, twist : ndarray
-        Matrices X, Y and M of the equations in :mod:`acoustube.waves.bends`, (n, n).
+        Matrices X, Y and M of the equations in :mod:`acoustube.waves.bent_parts`, (n, n).
     flattening : ndarray
         Derivatives of the squared cut-on wavenumbers of the bore of radius 1 with respect to the
         ovality (`bends.Bent`), (n,).

@@ -326,3 +326,13 @@ def wavenumbers(
         for name in labels
     )
     return np.stack(list(found), axis=-1)
+
+
+def change_by_losses(
+    labels: Sequence[str], radius: float, air: Air, frequency: NDArray[Any]
+) -> Complex:
+    """Return the changes of named modes' squared axial wavenumbers by losses in 1/m2, (n, m)."""
+    with_losses, without = (
+        wavenumbers(labels, frequency, radius, air, lossy=lossy) for lossy in (True, False)
+    )
+    return np.asarray(with_losses**2 - without**2)
