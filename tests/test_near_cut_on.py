@@ -18,7 +18,8 @@ from acoustube.waves import (
     spectral,
     transfer,
 )
-from acoustube.waves.interpolation import interpolate_scattering, lossless
+from acoustube.waves.cut_on_steps import lossless
+from acoustube.waves.interpolation import interpolate_scattering
 from acoustube.waves.modes.grid_modes import change_by_losses
 from acoustube.waves.scattering import ModalScattering
 

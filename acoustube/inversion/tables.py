@@ -12,7 +12,15 @@ from scipy.ndimage import spline_filter1d
 from acoustube.air import air_of_speed
 from acoustube.base.types import Array
 from acoustube.inversion.tools import Tool
-from acoustube.waves.interpolation import Axial, fitting, lossy, onsets, restored, steps, without
+from acoustube.waves.cut_on_steps import (
+    Axial,
+    fitting,
+    lossy,
+    onsets,
+    restored,
+    steps,
+    without,
+)
 from acoustube.waves.modes import cut_on_frequency
 from acoustube.waves.modes.grid_modes import change_by_losses, mode_numbers
 from acoustube.waves.scattering import Complex
@@ -135,7 +143,7 @@ class ToolTable:
     interpolated to finer frequencies by the conditional mean of a stationary Gaussian process. Its
     covariance is the Fourier transform of the expected power of the impulse response over time.
     Steps at cut-ons are subtracted before and added afterwards
-    (:mod:`acoustube.waves.interpolation`). Over these finer frequencies, which are evenly spaced,
+    (:mod:`acoustube.waves.cut_on_steps`). Over these finer frequencies, which are evenly spaced,
     B-splines are used; over the depths, which are not, cubic splines. Derivatives are those of the
     splines themselves.
     """

@@ -17,7 +17,8 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.inversion import Library, Tool
 from acoustube.inversion.tables import MOST_MODES
-from acoustube.waves.interpolation import Onsets, interpolated, lossy, onsets
+from acoustube.waves.cut_on_steps import Onsets, lossy, onsets
+from acoustube.waves.interpolation import interpolated
 from acoustube.waves.modes import cut_on_frequency
 from acoustube.waves.modes.grid_modes import change_by_losses, mode_numbers
 from acoustube.waves.scattering import Complex

@@ -6,7 +6,7 @@ step, losses and absorbing layers) and `modes` (duct modes and probes); then `pr
 (such matrices by a solver in the frequency domain), `bent_parts` and `bends` (scattering matrices
 of bends), `bent_modes` (the modes of a bend), `network` (tubes combined from scattering matrices)
 and `budget` (the errors of a run). `network` uses `star_product`, `interpolation` (of scattering
-matrices over frequency) and `network_checks`.
+matrices over frequency), `cut_on_steps` and `network_checks`.
 """
 
 from acoustube.base.moved import renamed

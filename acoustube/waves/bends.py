@@ -176,15 +176,16 @@ def _power_normalised(
     m = len(bore.names)
     s = s.reshape(len(frequency), 2, m, 2, m)[:, :, place][..., place]
     straight = wavenumbers(names, frequency, radius, air, lossy=lossy)
-    # The amplitude is the square root of the power, and no power propagates below cut-on. With
-    # losses the root is complex, as in :func:`acoustube.waves.spectral.ports.scattering_of`.
-    size = np.where(propagates, np.sqrt(straight), 0.0)
-    inverse = np.where(propagates, 1 / np.where(size != 0, size, 1), 0.0)
+    # The root is complex, as in :func:`acoustube.waves.spectral.ports.scattering_of`.
+    size = np.sqrt(straight)
+    inverse = 1 / np.where(size != 0, size, 1)
     s = size[:, None, :, None, None] * s * inverse[:, None, None, None, :]
+    both = propagates[:, None, :, None, None] & propagates[:, None, None, None, :]
     return ModalScattering(
         frequency=frequency,
         modes=names,
-        s=s,
+        s=np.where(both, s, 0.0),
+        evanescent=np.where(both, 0.0, s),
         propagates=propagates,
         cut_ons=cut_ons,
         sound_speed=air.sound_speed,

@@ -7,7 +7,7 @@ end to the source, press by press (Redheffer's star product [1]_). The waves are
 the source to the far end. All multiple echoes between presses and ends are included. Evanescent
 modes are neglected between presses, so that the near fields of two presses do not interact, except
 for a mode just below its cut-on, which extends over centimetres
-(:mod:`acoustube.waves.interpolation`).
+(:mod:`acoustube.waves.cut_on_steps`).
 
 References
 ----------

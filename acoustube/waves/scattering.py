@@ -76,6 +76,10 @@ class ModalScattering:
     inside : PlaneWave or None
         Plane wave in each part of a bend, for the clutter there and for interpolation over
         frequency; None for a press.
+    evanescent : ndarray or None
+        Coefficients of `s` with modes that are evanescent, of the shape of `s`, zero where both
+        modes propagate; power-normalised, with the complex root of an evanescent mode's axial
+        wavenumber. None where they are not known, as for a press.
     """
 
     frequency: Array
@@ -87,6 +91,7 @@ class ModalScattering:
     extent: tuple[float, float]
     planes: tuple[float, float] = (0.0, 0.0)
     inside: PlaneWave | None = None
+    evanescent: Complex | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -146,8 +151,9 @@ class PlacedScatterer:
         inside = s.inside
         if inside is not None:
             inside = PlaneWave(inside.length[::-1], inside.wavenumber[::-1])
-        # Those of these arrays that the subclass has; `derivative` may be None.
-        by_port = {name: getattr(s, name, None) for name in ("s", "settled", "derivative")}
+        # Those of these arrays that there are: some are of a subclass, or may be None.
+        names = "s", "evanescent", "settled", "derivative"
+        by_port = {name: getattr(s, name, None) for name in names}
         mirrored = replace(
             s, inside=inside, extent=(-s.extent[1], -s.extent[0]),
             planes=(-s.planes[1], -s.planes[0]),
