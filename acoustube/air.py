@@ -145,9 +145,10 @@ def sound_speed(temperature: float) -> float:
 
 
 def air_of_speed(speed: float) -> Air:
-    """Return ordinary air with a speed of sound in m/s, for its losses.
+    """Return ordinary air of the temperature at which dry air has a speed of sound in m/s.
 
-    Its temperature is that of dry air with this speed, within the range of :func:`air_at`.
+    The temperature is limited to the range of :func:`air_at`. The result gives the losses of sound;
+    where the temperature was limited, its own speed is another.
     """
     absolute = speed**2 / (HEAT_CAPACITY_RATIO * SPECIFIC_GAS_CONSTANT)
     low, high = TEMPERATURES

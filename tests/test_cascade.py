@@ -298,8 +298,11 @@ def test_probe_between_a_press_and_its_position_is_on_the_side_of_the_source():
 def test_mirrored_scatterer_has_all_its_matrices_mirrored():
     rng = np.random.default_rng(5)
     shape = len(FREQUENCY), 2, 1, 2, 1
-    press = replace(mirror(0.5, FREQUENCY), settled=rng.random(shape) < 0.5)
+    press = replace(
+        mirror(0.5, FREQUENCY), settled=rng.random(shape) < 0.5, evanescent=rng.random(shape) + 0j
+    )
     turned = PlacedScatterer(press, 0.3).from_other_end(1.0).scattering
+    assert np.array_equal(turned.evanescent, press.evanescent[:, ::-1, :, ::-1])
     assert np.array_equal(turned.settled, press.settled[:, ::-1, :, ::-1])
     shared = {f.name: getattr(press, f.name) for f in fields(ModalScattering)}
     spectral = SpectralScattering(

@@ -18,6 +18,7 @@ from acoustube.waves import (
     spectral,
     transfer,
 )
+from acoustube.waves.bent_modes import bent_modes
 from acoustube.waves.cut_on_steps import lossless
 from acoustube.waves.interpolation import interpolate_scattering
 from acoustube.waves.modes.grid_modes import change_by_losses
@@ -27,6 +28,7 @@ AIR, RADIUS, HALF = air_at(20.0), 3.95e-3, 20e-3
 CUT_ON = cut_on_frequency(2, 1, RADIUS, AIR.sound_speed)
 GIVEN = np.arange(27e3, 57.05e3, 100.0)
 NAMES = ("00", "11c", "21c", "11s", "21s")
+LOSSES = partial(change_by_losses, RADIUS, AIR)
 
 
 def pressed(z, t, middles):
@@ -68,10 +70,34 @@ def test_bend_is_interpolated_next_to_a_cut_on(length):
         joined_bends(AIR, f, [part], radius=RADIUS, modes=NAMES, highest=6.0)
         for f in (GIVEN, wanted)
     )
-    losses = partial(change_by_losses, NAMES, RADIUS, AIR)
-    off = np.abs(interpolate_scattering(found, wanted, losses) - there.s)
+    off = np.abs(interpolate_scattering(found, wanted, LOSSES) - there.s)
     assert off[:4].max() < 0.05
     assert off[4:].max() < 5e-3
+
+
+@pytest.mark.parametrize("length", [0.03, 0.12])
+def test_bend_is_interpolated_below_a_cut_on(length):
+    """With the evanescent mode, from frequencies 100 Hz apart; continued instead, 0.3 off."""
+    wanted = CUT_ON - np.array([520.0, 217.0, 130.0, 47.0, 15.0])
+    part = Bent(length=length, curvature=28.0, torsion=3.8)
+    found, there = (
+        joined_bends(AIR, f, [part], radius=RADIUS, modes=NAMES, highest=6.0)
+        for f in (GIVEN, wanted)
+    )
+    off = np.abs(interpolate_scattering(found, wanted, LOSSES) - there.s - there.evanescent)
+    assert off.max() < 5e-3
+
+
+def test_joint_of_bent_and_straight_tube_reflects_an_evanescent_mode():
+    """Reflection of (2,1) and its conversion, against a bend of 20 cm by the multimodal method."""
+    f = np.linspace(41.2e3, 42.1e3, 7)
+    part = Bent(length=0.2, curvature=25.0)
+    joint = bent_modes(AIR, f, part, radius=RADIUS, modes=NAMES, count=3)
+    whole = joined_bends(AIR, f, [part], radius=RADIUS, modes=NAMES, highest=8.0)
+    expected = (whole.s + whole.evanescent)[:, 0, :, 0]
+    found = joint.signs[:, None] * joint.returned * joint.signs
+    assert np.abs(expected[-1, 2, 2]) > 0.02
+    assert np.abs(found - expected)[:, 2, [0, 2]].max() < 1e-3
 
 
 def test_press_is_interpolated_next_to_a_cut_on(press):
@@ -79,10 +105,9 @@ def test_press_is_interpolated_next_to_a_cut_on(press):
     wanted = CUT_ON + np.array([5.0, 20.0, 47.0, 130.0, 217.0, 520.0, 1030.0])
     there = solved([0.0], wanted).s
     m = there.shape[2]
-    losses = partial(change_by_losses, press.modes, RADIUS, AIR)
     off, rough = (
         np.abs(interpolate_scattering(press, wanted, given)[:, :, :m, :, :m] - there)
-        for given in (losses, None)
+        for given in (LOSSES, None)
     )
     assert off.max() < 0.03
     assert off.max() < 0.3 * rough.max()
@@ -126,8 +151,7 @@ def test_interpolated_coefficients_are_continuous_at_a_cut_on(press, imaginary):
     """Also without losses; below, an evanescent mode decays: u is negative imaginary."""
     assert lossless(np.array([0.9]), 1.0).imag[0] == pytest.approx(-np.sqrt(1 - 0.81))
     beside = CUT_ON + np.array([-1e-6, 1e-6]) + 1j * imaginary
-    losses = partial(change_by_losses, press.modes, RADIUS, AIR)
-    for given in (losses, None):
+    for given in (LOSSES, None):
         below, above = interpolate_scattering(press, beside, given)
         # The square root of u, without losses, is 3e-3 at 1e-6 Hz from the cut-on.
         assert np.abs(above - below).max() < 0.01 * np.abs(above).max()
@@ -143,8 +167,7 @@ def test_lossy_matrices_of_two_modes_that_begin_at_0_hz_are_interpolated():
         frequency=given, modes=("00", "11c"), s=s, propagates=given[:, None] > [0.0, cut_on],
         cut_ons=np.array([0.0, cut_on]), sound_speed=AIR.sound_speed, extent=(-0.01, 0.01),
     )  # fmt: skip
-    losses = partial(change_by_losses, through.modes, RADIUS, AIR)
-    found = interpolate_scattering(through, np.array([27.05e3, 28.05e3]), losses)
+    found = interpolate_scattering(through, np.array([27.05e3, 28.05e3]), LOSSES)
     assert found[:, 1, 1, 0, 1] == pytest.approx(1.0, abs=1e-3)
 
 

@@ -158,14 +158,8 @@ class ToolTable:
         self.count = last - first + 1
         kept = np.ascontiguousarray(tool.s[:, :, :, :modes, :, :modes]).astype(complex)
         flat = kept.reshape(len(tool.depth), len(tool.frequency), -1)
-        names = tool.modes[:modes]
-        cut_ons = [cut_on_frequency(*mode_numbers(n), tool.radius, tool.sound_speed) for n in names]
-        losses = partial(change_by_losses, names, tool.radius, air_of_speed(tool.sound_speed))
-        axial = lossy(np.array(cut_ons), tool.sound_speed, losses)
-        fine = _refined(
-            tool.frequency, flat, self.start + step * np.arange(self.count), np.array(cut_ons),
-            axial,
-        )  # fmt: skip
+        wanted = self.start + step * np.arange(self.count)
+        fine = _refined(tool.frequency, flat, wanted, *cut_on_law(tool, modes, tool.sound_speed))
         filtered = spline_filter1d(fine, axis=1, mode="mirror", output=complex)
         self.value = filtered.astype(np.complex64)
         self.slope = CubicSpline(tool.depth, filtered)(tool.depth, 1).astype(np.complex64)
@@ -208,6 +202,32 @@ class ToolTable:
             values.view(np.float32), slopes.view(np.float32), self.tool.depth,
             np.asarray(depth, float), place, self.frequency / self.step,
         ).view(complex))  # fmt: skip
+
+
+def cut_on_law(tool: Tool, modes: int, speed: float) -> tuple[Array, Axial]:
+    """Return the cut-ons in Hz of a tool's first modes, and their wavenumbers next to these.
+
+    Parameters
+    ----------
+    tool : Tool
+    modes : int
+        Number m of modes.
+    speed : float
+        Speed of sound in m/s in the tube.
+
+    Returns
+    -------
+    cut_ons : ndarray
+        (m,).
+    axial : callable
+        Relative axial wavenumbers with losses, see :data:`acoustube.waves.cut_on_steps.Axial`.
+    """
+    names = tool.modes[:modes]
+    cut_ons = np.array(
+        [cut_on_frequency(*mode_numbers(name), tool.radius, speed) for name in names]
+    )
+    losses = partial(change_by_losses, tool.radius, air_of_speed(speed))
+    return cut_ons, lossy(names, cut_ons, speed, losses)
 
 
 def _front_coefficients(part: Complex, modes: int) -> Complex:

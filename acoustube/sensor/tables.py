@@ -6,21 +6,17 @@ Between adjacent depths of the tables the scattering is interpolated linearly.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from acoustube.air import air_of_speed
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.inversion import Library, Tool
-from acoustube.inversion.tables import MOST_MODES
-from acoustube.waves.cut_on_steps import Onsets, lossy, onsets
+from acoustube.inversion.tables import MOST_MODES, cut_on_law
+from acoustube.waves.cut_on_steps import Onsets, onsets
 from acoustube.waves.interpolation import interpolated
-from acoustube.waves.modes import cut_on_frequency
-from acoustube.waves.modes.grid_modes import change_by_losses, mode_numbers
 from acoustube.waves.scattering import Complex
 
 MOST_PARTS = 64
@@ -171,13 +167,8 @@ def _at_frequencies(tool: Tool, kept: list[int], frequency: Complex, stretch: fl
         for port in (0, 1):
             untouched[:, port, mode, 1 - port, mode] = propagates
     speed = stretch * tool.sound_speed
-    names = tool.modes[:m]
-    cut_ons = np.array(
-        [cut_on_frequency(*mode_numbers(name), tool.radius, speed) for name in names]
-    )
+    cut_ons, axial = cut_on_law(tool, m, speed)
     begun = onsets(cut_ons)
-    losses = partial(change_by_losses, names, tool.radius, air_of_speed(speed))
-    axial = lossy(cut_ons, speed, losses)
     given = tool.frequency * stretch
     found = np.empty((len(kept), len(s) + 1, len(frequency)), complex)
     for row, place in zip(found, kept, strict=True):  # one by one, for a tenth of the memory

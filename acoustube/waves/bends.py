@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from acoustube.air import Air
-from acoustube.base.checks import BORE, FREQUENCIES, Optional, Several, checked
+from acoustube.base.checks import BORE, FLAG, FREQUENCIES, Optional, Several, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.waves.bent_parts import (
@@ -111,7 +111,7 @@ def bend(
 
 @checked(
     air=Air, frequency=FREQUENCIES, parts=Several(Bent, 1), radius=BORE, modes=NAMES,
-    highest=HIGHEST,
+    highest=HIGHEST, gradual=FLAG,
 )  # fmt: skip
 def joined_bends(
     air: Air,

@@ -34,7 +34,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import ceil, log2, pi
 
@@ -77,7 +77,8 @@ class Bent:
     length : float
         Length of the centre line in m.
     curvature, torsion : float
-        Curvature and torsion of the centre line in 1/m; see :func:`bend`.
+        Curvature and torsion of the centre line in 1/m; see
+        :func:`acoustube.waves.bend`.
     ovality : float
         Relative decrease of the bore's radius in the plane of the bend, and increase across it.
 
@@ -128,6 +129,15 @@ def _nodes(n: int) -> tuple[NDArray[np.int_], Array]:
     return nodes, np.asarray(factors.prod(axis=2))
 
 
+def _interpolated(groups: list[list[Bent]], of: Callable[[Bent], Complex]) -> Iterator[Complex]:
+    """Yield a quantity of each part, an array, computed at the nodes of each group."""
+    for group in groups:
+        nodes, weights = _nodes(len(group))
+        known = np.stack([of(group[i]) for i in nodes])
+        for row in weights:
+            yield np.tensordot(row, known, 1)
+
+
 def scattering_of_parts(
     air: Air,
     frequency: Array,
@@ -136,14 +146,10 @@ def scattering_of_parts(
     groups: list[list[Bent]],
     lossy: bool,
 ) -> Iterator[Complex]:
-    """Yield the scattering matrices of all parts, not power-normalised, (n, 2 m, 2 m)."""
-    for group in groups:
-        nodes, weights = _nodes(len(group))
-        known = np.stack(
-            [_part_scattering(air, frequency, bore, radius, group[i], lossy) for i in nodes]
-        )
-        for row in weights:
-            yield np.tensordot(row, known, 1)
+    """Return the scattering matrices of all parts, not power-normalised, each (n, 2 m, 2 m)."""
+    return _interpolated(
+        groups, lambda part: _part_scattering(air, frequency, bore, radius, part, lossy)
+    )
 
 
 def plane_wave(
@@ -166,11 +172,7 @@ def plane_wave(
         first = np.argmax(np.where(travels, own.real, -np.inf), axis=1)
         return np.asarray(np.take_along_axis(own, first[:, None], 1)[:, 0])
 
-    found: list[Complex] = []
-    for group in groups:
-        nodes, weights = _nodes(len(group))
-        found.append(weights.astype(complex) @ np.stack([wavenumber_in(group[i]) for i in nodes]))
-    wavenumber: Complex = np.concatenate(found)
+    wavenumber: Complex = np.stack(list(_interpolated(groups, wavenumber_in)))
     if not few:
         wavenumber = CubicSpline(at, wavenumber, axis=1)(frequency)
     return PlaneWave(np.array([part.length for group in groups for part in group]), wavenumber)
@@ -179,7 +181,7 @@ def plane_wave(
 def _part_scattering(
     air: Air, frequency: Array, bore: BoreModes, radius: float, part: Bent, lossy: bool
 ) -> Complex:
-    """Return the scattering matrix of a bend, not power-normalised, (n, 2 m, 2 m)."""
+    """Return the scattering matrix of a part, not power-normalised, (n, 2 m, 2 m)."""
     generator, admittance = bend_generator(air, frequency, bore, radius, part, lossy)
     growth = part.length * max(bore.zeros.max(), 1.0) / radius  # the plane mode's zero is 0
     n_doublings = max(0, ceil(log2(growth / SLICE_EXPONENT)))

@@ -28,7 +28,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import pi
 from typing import Any, NamedTuple
 
@@ -39,11 +39,13 @@ from acoustube.base.types import Array
 from acoustube.waves.port_waves import Complex
 
 SPAN = 2e3
-"""Range in Hz above a cut-on in which the polynomial is fitted, and the scale of its window."""
+"""Range in Hz above a cut-on in which the polynomial is fitted, and the scale of its window; also
+below the cut-on where the coefficients are known there."""
 SPAN_BELOW = 250.0
-"""Scale in Hz of the window below a cut-on. In the 50 Hz below it, the largest error of the echo of
-a press between bends is 2 to 11 % of the echo without the continuation, 0.4 to 5 % with scales of
-150 to 300 Hz. With 400 Hz it is up to 13 %, farther below: the polynomial is extrapolated."""
+"""Scale in Hz of the window below a cut-on where the coefficients are not known there. In the 50 Hz
+below it, the largest error of the echo of a press between bends is 2 to 11 % of the echo without
+the continuation, 0.4 to 5 % with scales of 150 to 300 Hz. With 400 Hz it is up to 13 %, farther
+below: the polynomial is extrapolated."""
 DEGREE = 5
 """Degree of the polynomial. The error of interpolation between frequencies 100 Hz apart, for a rod
 on a bore of 9 mm and from 0.5 to 8 kHz above a cut-on (rms of all coefficients), is 0.002 to 0.004;
@@ -56,12 +58,12 @@ GOOD_FIT, POOREST_FIT = 0.1, 0.3
 """Relative rms residuals of the fit, with its weights, up to which a polynomial is subtracted as a
 whole, and from which on it is not subtracted; between them, a part of it is."""
 FIT_SCALE = 500.0
-"""Scale in Hz of the decay of the fit's weights above a cut-on. With equal weights over `SPAN` the
-coefficients at the cut-on are two to three times less accurate."""
+"""Scale in Hz of the decay of the fit's weights away from a cut-on. With equal weights over `SPAN`
+the coefficients at the cut-on are two to three times less accurate."""
 
-Losses = Callable[[NDArray[Any]], Complex]
-"""Function from frequencies in Hz, (n,), to the changes of the modes' squared axial wavenumbers by
-losses in 1/m2, (n, m)."""
+Losses = Callable[[str, NDArray[Any]], Complex]
+"""Function from the name of a mode and frequencies in Hz, (n,), to the change of the mode's squared
+axial wavenumber by losses in 1/m2, (n,)."""
 Axial = Callable[[NDArray[Any], float], NDArray[Any]]
 """Function from frequencies and a cut-on in Hz to u, the axial wavenumber of the mode of that
 cut-on relative to its cut-on wavenumber."""
@@ -130,11 +132,13 @@ def lossless(frequency: NDArray[Any], cut_on: float) -> NDArray[Any]:
     return np.asarray(-1j * np.sqrt(1 - (frequency / cut_on) ** 2 + 0j))
 
 
-def lossy(cut_ons: Array, sound_speed: float, losses: Losses) -> Axial:
+def lossy(names: Sequence[str], cut_ons: Array, sound_speed: float, losses: Losses) -> Axial:
     """Return u of modes with the losses of the straight tube, as a function; see :data:`Axial`.
 
     Parameters
     ----------
+    names : sequence of str
+        Of the m modes, as ``11c``.
     cut_ons : ndarray
         Cut-ons of the modes in Hz, without losses, (m,).
     sound_speed : float
@@ -144,8 +148,8 @@ def lossy(cut_ons: Array, sound_speed: float, losses: Losses) -> Axial:
     """
 
     def axial(frequency: NDArray[Any], cut_on: float) -> NDArray[Any]:
-        mode = int(np.argmin(np.abs(cut_ons - cut_on)))
-        change = losses(frequency)[:, mode] * (sound_speed / (2 * pi * cut_on)) ** 2
+        name = names[int(np.argmin(np.abs(cut_ons - cut_on)))]
+        change = losses(name, frequency) * (sound_speed / (2 * pi * cut_on)) ** 2
         return np.asarray(np.sqrt((frequency / cut_on) ** 2 - 1 + change))
 
     return axial

@@ -49,14 +49,16 @@ def interpolate_scattering(
     frequency : ndarray
         In Hz, (n,), with real parts within the band of `scattering`.
     losses : callable, optional
-        Effect of the losses on the modes of the straight tube, see :data:`Losses`; by default they
-        are neglected in the interpolation next to cut-ons.
+        Effect of the losses on the modes of the straight tube, see
+        :data:`acoustube.waves.cut_on_steps.Losses`; by default they are neglected in the
+        interpolation next to cut-ons.
 
     Returns
     -------
     ndarray
-        (n, port_out, mode_out, port_in, mode_in). Below the cut-on of a mode, over a few hundred
-        Hz, that of the evanescent mode; farther below zero, except for the error of interpolation.
+        (n, port_out, mode_out, port_in, mode_in). Below the cut-on of a mode, that of the
+        evanescent mode: for a bend throughout, otherwise over a few hundred Hz, and farther below
+        zero, except for the error of interpolation.
 
     Raises
     ------
@@ -71,7 +73,9 @@ def interpolate_scattering(
     below = scattering.evanescent
     whole = scattering.s if below is None else scattering.s + below
     flat = (whole / here).reshape(len(given), -1)
-    axial = lossless if losses is None else lossy(cut_ons, scattering.sound_speed, losses)
+    axial: Axial = lossless
+    if losses is not None:
+        axial = lossy(scattering.modes, cut_ons, scattering.sound_speed, losses)
     found = interpolated(given, flat, wanted, onsets(cut_ons), axial, evanescent=below is not None)
     return found.reshape(len(wanted), *shape[1:]) * there
 
@@ -127,7 +131,7 @@ def interpolated(
     begun : Onsets
         Cut-ons of the coefficients.
     axial, evanescent
-        See :func:`steps`.
+        See :func:`acoustube.waves.cut_on_steps.steps`.
 
     Returns
     -------

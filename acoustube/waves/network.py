@@ -209,7 +209,7 @@ def transfer(
     presses = sorted(presses, key=lambda press: press.position)
     checks.check_places(presses, length, probes)
     modes = checks.common_modes(presses)
-    losses = partial(change_by_losses, modes, radius, air) if lossy else None
+    losses = partial(change_by_losses, radius, air) if lossy else None
     matrices = [interpolate_scattering(press.scattering, frequency, losses) for press in presses]
     waves = wavenumbers(modes, frequency, radius, air, lossy=lossy)
     places = np.array([press.position for press in presses])

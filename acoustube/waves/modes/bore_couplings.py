@@ -27,7 +27,7 @@ class BoreModes:
         Matrices X, Y and M of the equations in :mod:`acoustube.waves.bent_parts`, (n, n).
     flattening : ndarray
         Derivatives of the squared cut-on wavenumbers of the bore of radius 1 with respect to the
-        ovality (`bends.Bent`), (n,).
+        ovality (`bent_parts.Bent`), (n,).
     """
 
     names: tuple[str, ...]

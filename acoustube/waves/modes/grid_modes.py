@@ -328,11 +328,10 @@ def wavenumbers(
     return np.stack(list(found), axis=-1)
 
 
-def change_by_losses(
-    labels: Sequence[str], radius: float, air: Air, frequency: NDArray[Any]
-) -> Complex:
-    """Return the changes of named modes' squared axial wavenumbers by losses in 1/m2, (n, m)."""
+def change_by_losses(radius: float, air: Air, label: str, frequency: NDArray[Any]) -> Complex:
+    """Return the change of a named mode's squared axial wavenumber by losses in 1/m2, (n,)."""
     with_losses, without = (
-        wavenumbers(labels, frequency, radius, air, lossy=lossy) for lossy in (True, False)
+        axial_wavenumber(*mode_numbers(label), frequency, radius, air, lossy=lossy)
+        for lossy in (True, False)
     )
     return np.asarray(with_losses**2 - without**2)
