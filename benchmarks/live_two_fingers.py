@@ -4,10 +4,10 @@ The fingers of ``inversion_tracking.py`` land, slide, press deeper and lift on a
 process computes their cycles beforehand, by :class:`acoustube.sensor.TubeSensor`, as EchoTube's
 board would sample them: 80 kHz without a filter, 8 bits, with a gain at which presses fill the
 converter. Another one writes them to a pseudo-terminal, 20 per second, the bytes at the rate of
-1 Mbaud, after untouched cycles from which the clutter is learned. Printed are the cycles sent,
-received and left out, percentiles of the latency from a cycle's last byte to its row (of the last
-2000 cycles), the resident memory after half a minute and at the end, the seconds of one core, and
-the errors of the contacts.
+1 Mbaud, after untouched cycles from which the clutter is learned. Printed are the numbers of
+cycles sent, received, left out, and without a search for contacts, percentiles of the latency from
+a cycle's last byte to its row (of the last 2000 cycles), the resident memory after half a minute
+and at the end, the seconds of one core, and the errors of the contacts.
 On Linux: ``OMP_NUM_THREADS=1 python benchmarks/live_two_fingers.py LIBRARY [--minutes 10]``.
 """
 
@@ -166,6 +166,7 @@ def main() -> None:
         rows, false = compared(folder)
     percentiles = 1e3 * np.percentile(tally.latencies, [50, 90, 99, 100])
     print(f"cycles sent, received, left out  {n_cycles}, {tally.n_cycles}, {tally.n_skipped}")
+    print(f"cycles without a search  {tally.n_hurried}")
     print("latency in ms    " + "  ".join(f"{p:.1f}" for p in percentiles) + "  (50 90 99 100 %)")
     print(
         f"resident memory  {before:.0f} MB after {SETTLING:.0f} s, {resident():.0f} MB at the end"

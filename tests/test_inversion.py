@@ -648,7 +648,7 @@ def test_faint_press_before_a_strong_one_is_found_in_time(inverter, monkeypatch)
     builder = Builder(inverter.model, inverter.templates, *samples)
 
     def found():
-        last = peeling.peeled(builder, 3)[-1]
+        last = list(peeling.peeled(builder, 3))[-1]
         return [np.split(known.best, [2 * len(known.tools)])[0].reshape(-1, 2) for known in last]
 
     expected = np.column_stack([places, depths])

@@ -370,9 +370,38 @@ def test_presses_found_in_time_are_judged_although_fewer_are_unlikely(monkeypatc
         untouched=lambda: hypothesis(0, 1e5, 0.0), settled=lambda one: one,
         shifted=lambda one: one, extended=lambda _: [], replaced=lambda *_: [],
         own_deviance=lambda one: one.deviance, pruned=lambda _: [hypothesis(2, 600.0, 0.4)],
+        searched=lambda one: one,
     )  # fmt: skip
     monkeypatch.setattr(estimate, "doubted", lambda _builder, _fewer, more: more)
-    for in_time, expected in (([[one], [two], [three]], 4), ([[one], [two]], 3)):
-        monkeypatch.setattr(estimate, "peeled", lambda *_, found=in_time: found)
+    for in_time, onset, expected in (
+        ([[one], [two], [three]], 90, 4),
+        ([[one], [two]], 90, 3),
+        ([[one], [two], [three]], None, 2),  # one press leaves no onset of an echo
+    ):
+        monkeypatch.setattr(estimate, "peeled", lambda *_, found=in_time: iter(found))
+        monkeypatch.setattr(estimate, "onset_behind", lambda *_, index=onset: index)
         chain = Inverter._chain(SimpleNamespace(most=3), builder)
         assert [len(known.tools) for known in chain] == list(range(expected))
+
+
+def test_press_that_the_first_part_of_its_echo_misplaces_is_sought_in_the_whole(monkeypatch):
+    """Its model error is then large; a likelier one takes its place, and no more are sought."""
+    wrong, right = hypothesis(1, 0.0, 0.2), hypothesis(1, -500.0, 0.003)
+    sought = []
+
+    def replaced(known, number):
+        sought.append((known, number))
+        return [right]
+
+    builder = SimpleNamespace(
+        untouched=lambda: hypothesis(0, 1e5, 0.0), settled=lambda one: one,
+        shifted=lambda one: one, extended=lambda _: [], replaced=replaced,
+        own_deviance=lambda one: one.deviance, searched=lambda one: one,
+    )  # fmt: skip
+    monkeypatch.setattr(estimate, "peeled", lambda *_: iter([[wrong]]))
+    monkeypatch.setattr(
+        estimate, "onset_behind", lambda _builder, known: None if known is right else 90
+    )
+    chain = Inverter._chain(SimpleNamespace(most=3), builder)
+    assert chain[1:] == [right]
+    assert sought == [(wrong, 0)]

@@ -115,15 +115,21 @@ def test_contact_on_a_sleeve_is_followed(folder, tmp_path):
     assert contact.depth.value == pytest.approx(5e-3, rel=0.1)
 
 
-def test_cycles_are_left_out_when_others_wait(folder, cycles):
+def test_contacts_are_not_sought_while_cycles_wait(folder, cycles):
+    """Known contacts are followed; where many cycles wait, some are left out."""
     how = Contacts(folder=folder / "lib", sensor=folder / "sensor.toml", rest=0.1)
     follower = Follower(how, 80e3, 2000, 20.0)
     for i in range(12):
         follower.update(cycles[i], i / 20)
     assert not follower.learning
-    assert follower.update(cycles[12], 0.6, waiting=5) is None
-    assert follower.n_skipped == 1
-    assert follower.update(cycles[13], 0.65, waiting=0).contacts == []
+    searched = follower.tracker.n_searches
+    assert follower.update(cycles[12], 0.6, waiting=5).contacts == []
+    assert (follower.n_hurried, follower.n_skipped) == (1, 0)
+    assert follower.tracker.n_searches == searched
+    assert follower.update(cycles[13], 0.65, waiting=25) is None
+    assert (follower.n_hurried, follower.n_skipped) == (1, 1)
+    assert follower.update(cycles[14], 0.7, waiting=0).contacts == []
+    assert follower.tracker.n_searches == searched + 1
 
 
 LATE_WRAP = "[wrap]\nlead_cm = 60\nloops = 9\nforearm_cm = [26, 18, 26.6]\n"

@@ -250,6 +250,52 @@ def test_tracker_drops_a_contact_beside_a_misplaced_one(model):
     assert len(tracker.track.known) == 1
 
 
+def test_contact_is_followed_without_searches(model):
+    """As where cycles wait; a finger that slides at 1.5 cm/s, within the 0.3 mm of a search."""
+    tracker = ContactTracker(model)
+    for i in range(40):
+        ((place, depth),) = finger(i + 1, 0, 80, 0.7, 0.06, 4.5e-3)
+        found = tracker.update(counts([(place, depth)], i), search=i < 16)
+        if i > 14:
+            (contact,) = found.contacts
+            assert contact.distance.value == pytest.approx(place, abs=3e-4)
+            assert contact.depth.value == pytest.approx(depth, rel=0.05)
+            assert found.numbers == [0]
+    assert tracker.n_searches == 16
+
+
+def test_landing_in_cycles_without_a_search_does_not_mislead_the_known_contact(model):
+    """Its echo changes behind the new one; both are found once contacts are sought again."""
+    tracker = ContactTracker(model)
+    for i in range(16):
+        tracker.update(counts([(0.97, 5.5e-3)], i))
+    for i in range(16, 20):
+        found = tracker.update(counts([(0.55, 4.5e-3), (0.97, 5.5e-3)], i), search=False)
+        (contact,) = found.contacts
+        assert contact.distance.value == pytest.approx(0.97, abs=1e-3)
+        assert contact.depth.value == pytest.approx(5.5e-3, rel=0.05)
+        assert not found.fits
+    for i in range(20, 24):
+        found = tracker.update(counts([(0.55, 4.5e-3), (0.97, 5.5e-3)], i))
+    assert [one.distance.value for one in found.contacts] == pytest.approx([0.55, 0.97], abs=5e-4)
+    assert found.fits
+
+
+def test_contacts_are_sought_from_the_last_settled_state(model):
+    """A known contact that was misled is put back by the search for another in front of it."""
+    tracker = ContactTracker(model, most=2)
+    for i in range(16):
+        tracker.update(counts([(0.97, 5.5e-3)], i))
+    known = tracker.track.branches
+    shift = np.zeros(known.mean.shape[1])
+    shift[:2] = 0.04, -2e-3
+    tracker.track.branches = dataclasses.replace(known, mean=known.mean + shift)
+    for i in range(16, 18):
+        found = tracker.update(counts([(0.55, 4.5e-3), (0.97, 5.5e-3)], i))
+    assert [one.distance.value for one in found.contacts] == pytest.approx([0.55, 0.97], abs=5e-4)
+    assert found.fits
+
+
 def test_misfit_is_that_of_reported_contacts(model, monkeypatch):
     """A contact that is followed but not reported has none: here none is probable enough."""
     tracker = ContactTracker(model)

@@ -24,6 +24,8 @@ BIRTH = 120.0
 echoes do not distinguish positions half a wavelength apart."""
 START = 3e-3, 0.5e-3
 """Standard deviations in m of the position and the depth of a candidate before it is fitted."""
+NEW_CONTACT = float(np.log(100.0))
+"""Logarithm of the prior odds against one more contact."""
 LANDING = 0.01
 """Standard deviation of the velocity along the tube of a new contact, in m/s."""
 
@@ -135,6 +137,55 @@ def with_shifts(
     tried = updated(model, start, samples, whiten, iterations=3)
     level = tried.branches.level + tried.evidence[0] - best.evidence[0]
     return best.joined(replace(tried, branches=replace(tried.branches, level=level)))
+
+
+def in_place_of(
+    model: ForwardModel,
+    motion: Motion,
+    fewer: Branches,
+    young: list[int],
+    best: Update,
+    rank: int,
+    samples: Complex,
+    whiten: Weights,
+) -> tuple[Update, int | None]:
+    """Return fits of the new contact in place of a young one behind it, if as likely.
+
+    Until the echo of the new contact was high enough to be detected, its effect on later echoes may
+    have been taken for a contact.
+
+    Parameters
+    ----------
+    model : ForwardModel
+    motion : Motion
+    fewer : Branches
+        Branches without the new contact.
+    young : list of int
+        Indices in `fewer` of the young contacts behind the new one.
+    best : Update
+        Fit with the new contact.
+    rank : int
+        Index of the new contact along the tube.
+    samples : ndarray
+        Baseband of the cycle, (n_time,).
+    whiten : Weights
+
+    Returns
+    -------
+    found : Update
+        Fits without one of the young contacts; otherwise `best`.
+    gone : int or None
+        Index of that contact in `fewer`; otherwise None.
+    """
+    place, depth = best.branches.mean[:1, 2 * rank : 2 * rank + 2].T
+    for i in young:
+        others, tool = fewer.without(i), best.branches.tools[rank]
+        start = others.added(rank, tool, place, depth, new_deviations(motion))
+        alone = updated(model, start, samples, whiten, iterations=5)
+        alone = with_shifts(model, motion, others, alone, rank, samples, whiten)
+        if alone.evidence[0] + NEW_CONTACT > best.evidence[0]:
+            return alone, i
+    return best, None
 
 
 def rank_of(fewer: Branches, more: Branches) -> int:

@@ -16,16 +16,19 @@ class Cycle(NamedTuple):
     Attributes
     ----------
     number : int
-        Number of the cycle, from 0.
+        Number of earlier cycles with a search.
     samples : ndarray
         Baseband in counts, (n_time,).
     noise : float
         Variance of the noise of a sample, in counts squared.
+    search : bool
+        Whether contacts that appear or disappear, and other maxima of the likelihood, are sought.
     """
 
     number: int
     samples: Complex
     noise: float
+    search: bool = True
 
 
 @dataclass
@@ -39,7 +42,7 @@ class Known:
     log_odds : float
         Logarithm of the odds that the contact is real.
     age : int
-        Age in cycles.
+        Age in cycles with a search.
     faint : int
         Number of tests in a row in which the depth exceeded the library's least depth by less than
         `FAINT` of :mod:`acoustube.inversion.tracks`.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +21,7 @@ from acoustube.inversion.hypotheses import HOPELESS, Builder, Hypothesis
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.model_error import Discrepancy, discrepancy
 from acoustube.inversion.parameters import cost_of_press, split
-from acoustube.inversion.peeling import EXPLAINED, peeled
+from acoustube.inversion.peeling import EXPLAINED, onset_behind, peeled
 from acoustube.inversion.posterior import Estimate, Posterior
 from acoustube.inversion.search import Templates
 from acoustube.waves.scattering import Complex
@@ -210,16 +211,25 @@ class Inverter:
         """Return the best hypothesis of each number of presses, up to the first unlikely number.
 
         The list goes on beyond an unlikely number if more presses were found one after another in
-        time (:mod:`acoustube.inversion.peeling`), unless fewer presses explain the echo well.
+        time (:mod:`acoustube.inversion.peeling`), unless fewer presses explain the echo well. More
+        than one are not sought in time if one leaves no onset of an echo.
         """
         chain = [builder.untouched()]
-        beam, in_time = chain, peeled(builder, self.most)
+        beam, levels = chain, peeled(builder, self.most)
+        in_time = list(islice(levels, 1))
         for number in range(1, self.most + 1):
             found = [
                 builder.settled(one) for level in in_time[number - 1 : number] for one in level
             ]
+            if number == 1 and found:
+                found = _shifted(builder, found)
+                if found[0].error > GOOD:  # sought in the first part of its echo so far
+                    found[0] = _sought_again(builder, found[0])
+                if onset_behind(builder, builder.searched(found[0])) is not None:
+                    in_time += levels
             poor = all(one.error > GOOD for one in found)
-            if poor and (number > 1 or len(in_time) < 2):
+            sought = poor and (number > 1 or len(in_time) < 2)
+            if sought:
                 found += [more for known in beam for more in builder.extended(known)]
             if not found:
                 break
@@ -227,7 +237,8 @@ class Inverter:
             enough = builder.own_deviance(chain[-1]) + HOPELESS
             if chain[-1].error <= GOOD and least > enough:
                 break
-            found = _shifted(builder, found)
+            if number > 1 or sought:
+                found = _shifted(builder, found)
             best = found[0]
             cost = cost_of_press(number)
             likelier = best.deviance + cost < chain[-1].deviance

@@ -8,6 +8,8 @@ an echo that is too faint to have an onset of its own is also sought before the 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from acoustube.base.types import Array
@@ -35,12 +37,12 @@ ALIKE = 1e-3
 """Difference in m up to which places of two hypotheses count as the same."""
 
 
-def peeled(builder: Builder, most: int) -> list[list[Hypothesis]]:
-    """Return hypotheses of one press, two and so on, each fitted to the first part of a recording.
+def peeled(builder: Builder, most: int) -> Iterator[list[Hypothesis]]:
+    """Yield hypotheses of one press, two and so on, each fitted to the first part of a recording.
 
     For each number there are up to :data:`AT_ONSET` hypotheses whose last press is at an onset,
     followed by up to :data:`BEFORE_ONSET` others. Both groups are in the order of rising mean
-    square of the samples fitted. The list ends early where no further press is found.
+    square of the samples fitted. The iterator ends early where no further press is found.
 
     Parameters
     ----------
@@ -49,22 +51,20 @@ def peeled(builder: Builder, most: int) -> list[list[Hypothesis]]:
         Largest number of presses.
     """
     beam = [builder.silent()]
-    found: list[list[Hypothesis]] = []
     for _ in range(most):
-        onsets = [(known, _onset(builder, known)) for known in beam]
+        onsets = [(known, onset_behind(builder, known)) for known in beam]
         with_onset = [(known, onset) for known, onset in onsets if onset is not None]
         at = _distinct([more for one in with_onset for more in _at_onset(builder, *one)])
         before = _distinct([more for one in with_onset for more in _before_onset(builder, *one)])
         beam = at[:AT_ONSET]
         beam += [one for one in before if not _known(one, beam)][:BEFORE_ONSET]
         if not beam:
-            break
-        found.append(beam)
+            return
+        yield beam
         beam = [builder.searched(known) for known in beam]
-    return found
 
 
-def _onset(builder: Builder, known: Hypothesis) -> int | None:
+def onset_behind(builder: Builder, known: Hypothesis) -> int | None:
     """Return the index of the sample at which an echo begins in the residual; None if none does."""
     level = np.abs(known.whiten(builder.residual_of(known)))
     return leading_edge(level, builder.model.base.interval)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from threadpoolctl import ThreadpoolController
 
-from acoustube.base.checks import Optional, Reals, checked
+from acoustube.base.checks import Flag, Optional, Reals, checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
@@ -114,15 +114,19 @@ class ContactTracker:
         self.proposals = [Proposals(model, i, noise) for i in range(len(model.tables))]
         self.quiet = weights(model, noise, 0.0, None)
         self.threads = ThreadpoolController()  # once: its search for libraries takes milliseconds
-        self.n_cycles = 0
+        self.n_cycles = self.n_searches = 0
         self.track = self._new(at_rest(model.priors))
         self.second: Track | None = None
 
     def _new(self, branches: Branches) -> Track:
         return Track(self.model, self.proposals, self.motion, self.most, branches, self.quiet)
 
-    @checked(counts=Reals(ndim=1), elapsed=Optional(Number(1e-9, 1e6, "s")))
-    def update(self, counts: ArrayLike, elapsed: float | None = None) -> Tracked:
+    @checked(
+        counts=Reals(ndim=1), elapsed=Optional(Number(1e-9, 1e6, "s")), search=Flag(),
+    )  # fmt: skip
+    def update(
+        self, counts: ArrayLike, elapsed: float | None = None, *, search: bool = True
+    ) -> Tracked:
         """Update the posterior of the contacts with one more cycle, and return the contacts.
 
         Parameters
@@ -131,6 +135,9 @@ class ContactTracker:
             Counts of the converter in this cycle, (n_samples,).
         elapsed : float, optional
             Time in s since the previous cycle; by default the inverse of the cycle rate.
+        search : bool
+            Whether contacts that appear or disappear, and other maxima of the likelihood, are
+            sought. Without it known contacts are followed, in a fraction of the time.
 
         Raises
         ------
@@ -149,16 +156,17 @@ class ContactTracker:
                 start = Builder(self.model, [], samples, noise).start
                 own = self.track.branches
                 self.track.branches = replace(own, mean=start[None])
-            cycle = Cycle(self.n_cycles, samples, noise)
+            cycle = Cycle(self.n_searches, samples, noise, search)
             found = self._followed(cycle, self.step if elapsed is None else elapsed)
             self.n_cycles += 1
+            self.n_searches += search
             return self._told(found, samples)
 
     def _followed(self, cycle: Cycle, step: float) -> Update:
         """Update the tracks, and return the distribution of the one that fits the cycles better."""
         found = self.track.update(cycle, step)
         if self.second is None:
-            if self.track.n_bad > PATIENCE and cycle.number % TRIAL == 0:
+            if cycle.search and self.track.n_bad > PATIENCE and cycle.number % TRIAL == 0:
                 first = 2 * len(self.track.known)
                 own = self.track.branches
                 branches = at_rest(self.model.priors)

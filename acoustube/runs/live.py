@@ -92,7 +92,10 @@ class Tally:
     n_detections : int
         Number of processed cycles with a detected echo.
     n_skipped : int
-        Number of cycles that were not inverted, because newer ones were waiting.
+        Number of cycles that were not inverted, because many newer ones were waiting.
+    n_hurried : int
+        Number of cycles in which the known contacts were followed but no others sought, because
+        newer ones were waiting.
     learning : bool
         Whether the clutter of the untouched tube is being estimated.
     found : Tracked or None
@@ -112,6 +115,7 @@ class Tally:
     n_cycles: int = 0
     n_detections: int = 0
     n_skipped: int = 0
+    n_hurried: int = 0
     learning: bool = False
     found: Tracked | None = None
     n_garbled: int = 0
@@ -143,6 +147,7 @@ class Tally:
             f"{self.n_detections}, {self.n_garbled} garbled, {self.n_dropped} dropped, latency "
             f"{MS * self.latency:.1f} ms"
             + (", reception began within a frame" if self.n_joined else "")
+            + (f", {self.n_hurried} without a search for contacts" if self.n_hurried else "")
             + (f", {self.n_skipped} not inverted for lack of time" if self.n_skipped else "")
         )
 
@@ -214,6 +219,7 @@ def follow(
                         if follower is not None:
                             found = follower.update(frame.samples, received, receiver.waiting)
                             tally.learning, tally.n_skipped = follower.learning, follower.n_skipped
+                            tally.n_hurried = follower.n_hurried
                             tally.found = found or tally.found
                             for row in follower.rows(number, received + epoch, found):
                                 log_contact(row)

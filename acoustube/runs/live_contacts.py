@@ -32,8 +32,9 @@ BITS = 8
 """Resolution of a board's samples in bits."""
 FEWEST = 8
 """Smallest number of untouched cycles from which clutter is estimated."""
-BACKLOG = 2
-"""Largest number of waiting cycles at which a cycle is still inverted, not skipped."""
+BACKLOG, LONGEST_BACKLOG = 2, 20
+"""Largest numbers of waiting cycles: at which contacts that appear or disappear are still sought in
+a cycle, and at which it is still used to follow the known contacts, not skipped."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +112,7 @@ class Follower:
         self.untouched: list[NDArray[np.uint8]] = []
         self.began: float | None = None
         self.before: float | None = None
-        self.n_skipped = 0
+        self.n_skipped, self.n_hurried = 0, 0
         self.times: list[float] = []
         self.tracker: ContactTracker | None = self._tracker(None)
         if how.rest:  # made only to raise its errors before the rest, not after it
@@ -134,7 +135,7 @@ class Follower:
         received : float
             Arrival time in s, with an arbitrary origin.
         waiting : int
-            Number of cycles that have arrived since; above :data:`BACKLOG` the cycle is skipped.
+            Number of cycles that have arrived since; see :data:`BACKLOG`.
         """
         cycle = np.concatenate([np.repeat(samples[:1], PULSE_WIDTH_BYTES), samples])
         if self.tracker is None:
@@ -146,13 +147,15 @@ class Follower:
                 self.tracker = self._tracker(clutter)
                 self.untouched = []
             return None
-        if waiting > BACKLOG:
+        if waiting > LONGEST_BACKLOG:
             self.n_skipped += 1
             return None
         elapsed = None if self.before is None else max(received - self.before, 1e-3)
         self.before = received
         start = time.perf_counter()
-        found = self.tracker.update(cycle, elapsed)
+        search = waiting <= BACKLOG
+        self.n_hurried += not search
+        found = self.tracker.update(cycle, elapsed, search=search)
         self.times.append(time.perf_counter() - start)
         del self.times[:-2000]
         return found
