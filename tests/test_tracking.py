@@ -281,6 +281,16 @@ def test_landing_in_cycles_without_a_search_does_not_mislead_the_known_contact(m
     assert found.fits
 
 
+def test_contacts_are_sought_in_the_first_cycle_of_all(model):
+    """Where cycles wait already when the tracker begins, and the tube is touched."""
+    tracker = ContactTracker(model)
+    for i in range(2):
+        found = tracker.update(counts([(0.7, 4.5e-3)], i), search=False)
+    assert tracker.n_searches == 1
+    (contact,) = found.contacts
+    assert contact.distance.value == pytest.approx(0.7, abs=5e-3)
+
+
 def test_contacts_are_sought_from_the_last_settled_state(model):
     """A known contact that was misled is put back by the search for another in front of it."""
     tracker = ContactTracker(model, most=2)

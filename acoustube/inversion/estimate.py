@@ -211,8 +211,8 @@ class Inverter:
         """Return the best hypothesis of each number of presses, up to the first unlikely number.
 
         The list goes on beyond an unlikely number if more presses were found one after another in
-        time (:mod:`acoustube.inversion.peeling`), unless fewer presses explain the echo well. More
-        than one are not sought in time if one leaves no onset of an echo.
+        time (:mod:`acoustube.inversion.peeling`), unless fewer presses explain the echo well. A
+        second one is not sought in time if the residual of the first has no onset of an echo.
         """
         chain = [builder.untouched()]
         beam, levels = chain, peeled(builder, self.most)

@@ -55,6 +55,14 @@ def refitted(model: ForwardModel, fewer: Branches, samples: Complex, whiten: Wei
     return updated(model, start, samples, whiten, iterations=ITERATIONS[0])
 
 
+def log_ratio(found: Update, fewer: Update, whiten: Weights) -> float:
+    """Return the log likelihood ratio of a fit over one with fewer contacts, in a cycle."""
+    without, with_all = np.sum(
+        np.abs(whiten(np.stack([fewer.rest[0], found.rest[0]]))) ** 2, axis=1
+    )
+    return float(without - with_all)
+
+
 def widened(branches: Branches, priors: Priors) -> Array:
     """Return the best branch's covariance (1, p, p), widened so as to reach another maximum.
 

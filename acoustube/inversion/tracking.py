@@ -114,7 +114,7 @@ class ContactTracker:
         self.proposals = [Proposals(model, i, noise) for i in range(len(model.tables))]
         self.quiet = weights(model, noise, 0.0, None)
         self.threads = ThreadpoolController()  # once: its search for libraries takes milliseconds
-        self.n_cycles = self.n_searches = 0
+        self.n_searches = 0
         self.track = self._new(at_rest(model.priors))
         self.second: Track | None = None
 
@@ -137,7 +137,8 @@ class ContactTracker:
             Time in s since the previous cycle; by default the inverse of the cycle rate.
         search : bool
             Whether contacts that appear or disappear, and other maxima of the likelihood, are
-            sought. Without it known contacts are followed, in a fraction of the time.
+            sought. Without it known contacts are followed, in a fraction of the time; a cycle that
+            they do not explain is not used. They are sought in the first cycle anyway.
 
         Raises
         ------
@@ -152,13 +153,13 @@ class ContactTracker:
             )
         with self.threads.limit(limits=1, user_api="blas"):  # one thread: small matrices
             samples, noise = base.of_cycles(array[None])
-            if not self.n_cycles:
+            if not self.n_searches:
                 start = Builder(self.model, [], samples, noise).start
                 own = self.track.branches
-                self.track.branches = replace(own, mean=start[None])
+                self.track.branches = self.track.settled = replace(own, mean=start[None])
+                search = True  # at first nothing is known that could be followed
             cycle = Cycle(self.n_searches, samples, noise, search)
             found = self._followed(cycle, self.step if elapsed is None else elapsed)
-            self.n_cycles += 1
             self.n_searches += search
             return self._told(found, samples)
 
@@ -175,11 +176,11 @@ class ContactTracker:
             return found
         other = self.second.update(cycle, step)
         better = self.second.score > self.track.score + BETTER
-        if better and self.second.residual < self.track.residual and self.second.n_cycles > 2:
+        if better and self.second.residual < self.track.residual and self.second.n_searches > 2:
             self._renumber(self.second)
             self.track, self.second = self.second, None
             return other
-        if self.second.n_cycles > TRIAL:
+        if self.second.n_searches > TRIAL:
             self.second = None
         return found
 
@@ -199,6 +200,7 @@ class ContactTracker:
                 del free[near]
             else:
                 one.number, track.numbers = track.numbers, track.numbers + 1
+        track.settled_numbers = track.numbered
 
     def _told(self, found: Update, samples: Complex) -> Tracked:
         """Return the contacts to report after a cycle with baseband `samples`."""

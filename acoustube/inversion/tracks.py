@@ -24,7 +24,7 @@ from acoustube.inversion.births import (
     with_shifts,
 )
 from acoustube.inversion.cycle import Cycle, Known
-from acoustube.inversion.fewer import UNUSUAL, one_for_two, refitted, widened
+from acoustube.inversion.fewer import UNUSUAL, log_ratio, one_for_two, refitted, widened
 from acoustube.inversion.goodness import MISFIT, unexplained
 from acoustube.inversion.likelihood import Echo, echo_from, weights
 from acoustube.inversion.model import ForwardModel
@@ -37,7 +37,7 @@ from acoustube.inversion.motion import (
     predicted,
     updated,
 )
-from acoustube.inversion.parameters import split
+from acoustube.inversion.parameters import bounded, split
 from acoustube.inversion.proposals import Proposals
 from acoustube.inversion.search import around
 from acoustube.inversion.whitening import Weights, mean_square
@@ -66,15 +66,15 @@ YOUNG, OFTEN, SELDOM, RARELY = 15, 2, 6, 12
 other maxima while a contact is young or the fit is bad, `RARELY` for other maxima at other times,
 and `SELDOM` for weak contacts."""
 TESTED = 4
-"""Number of a contact's turns in the tests of its odds of which one is used, if all contacts are
-sure, none is young, and the fit is good."""
+"""Number of a contact's turns in the tests of its odds of which one is used, if it is sure and not
+faint, no contact is young, and the fit is good."""
 MERGED = 3
 """Cycles between tests of whether a recently found contact and its neighbour are one contact."""
 LOUD = 3.0
 """Smoothed level of the whitened residual above which a new contact is sought at once."""
-SETTLED = 1.0
-"""Mean square of the whitened residual below which contacts are settled: nothing else affects their
-echoes. In a simulated stream that of a right fit is 0.75 in the median, and below 1 in 90 %."""
+SETTLED, UNSETTLED = 1.0, 1.0
+"""Mean square of the whitened residual below which contacts are settled (0.75 in the median where
+fits of a simulated stream are right), and time in s after which this state is no longer used."""
 BAD = 3.0
 """Mean square of the whitened residual above which a fit is bad. A fit is also bad if its misfit
 exceeds `MISFIT`."""
@@ -121,10 +121,10 @@ class Track:
         self.model, self.proposals, self.motion, self.most = model, proposals, motion, most
         self.branches, self.settled, self.quiet = branches, branches, quiet
         self.known: list[Known] = []
-        self.settled_numbers: list[int] = []
+        self.settled_numbers, self.unsettled = list[int](), 0.0
         self.echo: Echo | None = None
         self.error, self.residual, self.score = ERROR, 1.0, 0.0
-        self.n_cycles, self.n_bad, self.n_shifts, self.numbers = 0, 0, 0, 0
+        self.n_searches, self.n_bad, self.n_shifts, self.numbers = 0, 0, 0, 0
         self.rests: deque[Complex] = deque(maxlen=MEAN)
         self.whiten, self.untouched = quiet, np.zeros(0, complex)
         self.spread = BENT_SPREAD if model.path.converts else SPREAD
@@ -134,25 +134,34 @@ class Track:
         error = self.error if self.known else 0.0
         self.whiten = weights(self.model, cycle.noise, error, self.echo, self.spread)
         prior = predicted(self.branches, self.motion, self.model.priors, step)
-        self.settled = predicted(self.settled, self.motion, self.model.priors, step)
+        self.unsettled += step
+        settled = predicted(self.settled, self.motion, self.model.priors, step)
+        self.settled = settled if self.unsettled < UNSETTLED else prior
         found = self._pruned(self._updated(prior, cycle.samples, forget=FORGET))
         if cycle.search:
             found = self._searched(prior, found, cycle)
-        elif self._bad(found):
+        elif self._bad(found) and self.n_bad < YOUNG:  # otherwise the model itself fits badly
             return self._unused(prior, cycle)
         else:
             self.rests.append(found.rest[0])
         self.branches = found.branches
-        numbers = [one.number for one in self.known]
-        if numbers != self.settled_numbers or self._mean_square(found) < SETTLED:
-            self.settled, self.settled_numbers = found.branches, numbers
+        fits = self._mean_square(found) < SETTLED and not self._bad(found)
+        if fits or self.numbered != self.settled_numbers:
+            self.settled, self.settled_numbers, self.unsettled = found.branches, self.numbered, 0.0
         self._keep_echo(found, cycle)
         return found
 
     def _unused(self, prior: Branches, cycle: Cycle) -> Update:
         """Return the best branch as predicted: an echo of an unknown contact would mislead it."""
+        p = prior.parameters
+        prior.mean[:, :p] = bounded(self.model, prior.tools, prior.mean[:, :p])
         self.branches, best = prior, prior.take(np.zeros(1, int))
         return replace(self._updated(best, cycle.samples, iterations=0), branches=best)
+
+    @property
+    def numbered(self) -> list[int]:
+        """Numbers of the known contacts, in their order along the tube."""
+        return [one.number for one in self.known]
 
     def _searched(self, prior: Branches, found: Update, cycle: Cycle) -> Update:
         """Return the branches after the tests and searches that are due in a cycle."""
@@ -165,7 +174,7 @@ class Track:
         found = self._without_gone(found, cycle)
         self.rests.append(found.rest[0])
         found = self._explored(prior, found, cycle)
-        self.n_cycles += 1
+        self.n_searches += 1
         for one in self.known:
             one.age += 1
         return found
@@ -193,7 +202,7 @@ class Track:
             self.error = float(np.clip(np.sqrt(squared), *ERRORS))
         self.residual = self._mean_square(found)
         likelihood = float(found.evidence[0]) - self.whiten.log_determinant
-        self.score = likelihood if not self.n_cycles else 0.7 * self.score + 0.3 * likelihood
+        self.score = likelihood if not self.n_searches else 0.7 * self.score + 0.3 * likelihood
 
     def _mean_square(self, found: Update) -> float:
         return mean_square(self.whiten(found.rest[0]), self.model.base.freedom)
@@ -240,8 +249,8 @@ class Track:
         """Return the branches with one more contact, if the evidence for it suffices.
 
         A contact in front of others changes their echoes, and they have been fitted to some cycles
-        without it. It is therefore also sought with the others where they would be since they were
-        last settled. A weak contact is sought in the mean residual of the last cycles.
+        without it. It is therefore also sought with the others as predicted from the last cycle in
+        which they were settled. A weak contact is sought in the mean residual of the last cycles.
         """
         branches, whiten = found.branches.take(np.arange(1)), self.whiten
         rest, samples, known = found.rest[0], cycle.samples, [branches]
@@ -252,7 +261,7 @@ class Track:
                 self.model, cycle.noise / len(self.rests), error, self.echo, self.spread
             )
             samples = cycle.samples - found.rest[0] + rest
-        elif self.settled.tools == branches.tools:
+        elif self.settled_numbers == self.numbered:
             known.append(self.settled.take(np.arange(1)))
         plain = float(np.sum(np.abs(whiten(rest)) ** 2))
         tried = []
@@ -362,7 +371,7 @@ class Track:
             return found
         fewer = found.branches.take(np.arange(1)).without(i)
         refit = refitted(self.model, fewer, cycle.samples, self.whiten)
-        gained = self._gained(found, refit)
+        gained = log_ratio(found, refit, self.whiten)
         there = self.motion.survival * one.probability
         log_odds = np.log(there / (1 - there)) + gained - 1.0
         one.log_odds = float(min(log_odds, SURE))
@@ -373,12 +382,6 @@ class Track:
         self.rests.clear()
         return self._pruned(refit)
 
-    def _gained(self, found: Update, fewer: Update) -> float:
-        """Return the log likelihood ratio of a fit over one with fewer contacts, in a cycle."""
-        rest = self.whiten(np.stack([fewer.rest[0], found.rest[0]]))
-        without, with_all = np.sum(np.abs(rest) ** 2, axis=1)
-        return float(without - with_all)
-
     def _merged(self, found: Update, cycle: Cycle) -> Update:
         """Return fits with one contact in place of two neighbours, if the cycle is as likely."""
         ages = [one.age for one in self.known]
@@ -388,7 +391,7 @@ class Track:
         i = pairs[cycle.number // MERGED % len(pairs)]
         best = found.branches.take(np.arange(1))
         alone = one_for_two(self.proposals, self.motion, best, i, cycle.samples, self.whiten)
-        if alone is None or self._gained(found, alone) > NEW_CONTACT:
+        if alone is None or log_ratio(found, alone, self.whiten) > NEW_CONTACT:
             return found
         kept = max(self.known[i : i + 2], key=lambda one: one.age)
         kept.age = min(kept.age, NEW[-1] + 1)

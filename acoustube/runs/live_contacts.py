@@ -33,8 +33,9 @@ BITS = 8
 FEWEST = 8
 """Smallest number of untouched cycles from which clutter is estimated."""
 BACKLOG, LONGEST_BACKLOG = 2, 20
-"""Largest numbers of waiting cycles: at which contacts that appear or disappear are still sought in
-a cycle, and at which it is still used to follow the known contacts, not skipped."""
+"""Largest number of waiting cycles at which contacts that appear or disappear are still sought in a
+cycle, and largest number of waiting cycles, and of successive cycles without a search, at which a
+cycle is used to follow the known contacts. Beyond it, cycles are skipped until one is searched."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +113,7 @@ class Follower:
         self.untouched: list[NDArray[np.uint8]] = []
         self.began: float | None = None
         self.before: float | None = None
-        self.n_skipped, self.n_hurried = 0, 0
+        self.n_skipped, self.n_hurried, self.behind = 0, 0, 0
         self.times: list[float] = []
         self.tracker: ContactTracker | None = self._tracker(None)
         if how.rest:  # made only to raise its errors before the rest, not after it
@@ -147,13 +148,14 @@ class Follower:
                 self.tracker = self._tracker(clutter)
                 self.untouched = []
             return None
-        if waiting > LONGEST_BACKLOG:
+        search = waiting <= BACKLOG
+        self.behind = 0 if search else max(self.behind + 1, waiting)
+        if self.behind > LONGEST_BACKLOG:
             self.n_skipped += 1
             return None
         elapsed = None if self.before is None else max(received - self.before, 1e-3)
         self.before = received
         start = time.perf_counter()
-        search = waiting <= BACKLOG
         self.n_hurried += not search
         found = self.tracker.update(cycle, elapsed, search=search)
         self.times.append(time.perf_counter() - start)
@@ -189,7 +191,8 @@ def in_words(found: Tracked) -> list[str]:
         sure = f"{100 * one.probability:.0f} %"
         lines.append(f"contact {number}: {place} cm, {depth} mm, {force} N, {sure}")
     if not found.fits:
-        lines.append(f"misfit {found.misfit:.2f}: the echo differs from the library's")
+        reason = "the echo differs from the library's, or a contact is not found yet"
+        lines.append(f"misfit {found.misfit:.2f}: {reason}")
     return lines
 
 
