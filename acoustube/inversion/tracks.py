@@ -28,15 +28,7 @@ from acoustube.inversion.fewer import UNUSUAL, log_ratio, one_for_two, refitted,
 from acoustube.inversion.goodness import MISFIT, unexplained
 from acoustube.inversion.likelihood import Echo, echo_from, weights
 from acoustube.inversion.model import ForwardModel
-from acoustube.inversion.motion import (
-    LOST,
-    Branches,
-    Motion,
-    Update,
-    likely,
-    predicted,
-    updated,
-)
+from acoustube.inversion.motion import LOST, Branches, Motion, Update, likely, predicted, updated
 from acoustube.inversion.parameters import bounded, split
 from acoustube.inversion.proposals import Proposals
 from acoustube.inversion.search import around
@@ -135,8 +127,10 @@ class Track:
         self.whiten = weights(self.model, cycle.noise, error, self.echo, self.spread)
         prior = predicted(self.branches, self.motion, self.model.priors, step)
         self.unsettled += step
-        settled = predicted(self.settled, self.motion, self.model.priors, step)
-        self.settled = settled if self.unsettled < UNSETTLED else prior
+        if self.settled is self.branches or self.unsettled >= UNSETTLED:
+            self.settled = prior
+        else:
+            self.settled = predicted(self.settled, self.motion, self.model.priors, step)
         found = self._pruned(self._updated(prior, cycle.samples, forget=FORGET))
         if cycle.search:
             found = self._searched(prior, found, cycle)
@@ -145,7 +139,7 @@ class Track:
         else:
             self.rests.append(found.rest[0])
         self.branches = found.branches
-        fits = self._mean_square(found) < SETTLED and not self._bad(found)
+        fits = self._mean_square(found) < SETTLED and self.misfit(found) <= MISFIT
         if fits or self.numbered != self.settled_numbers:
             self.settled, self.settled_numbers, self.unsettled = found.branches, self.numbered, 0.0
         self._keep_echo(found, cycle)
@@ -153,9 +147,10 @@ class Track:
 
     def _unused(self, prior: Branches, cycle: Cycle) -> Update:
         """Return the best branch as predicted: an echo of an unknown contact would mislead it."""
-        p = prior.parameters
-        prior.mean[:, :p] = bounded(self.model, prior.tools, prior.mean[:, :p])
-        self.branches, best = prior, prior.take(np.zeros(1, int))
+        mean, p = prior.mean.copy(), prior.parameters
+        mean[:, :p] = bounded(self.model, prior.tools, mean[:, :p])
+        self.branches = replace(prior, mean=mean)
+        best = self.branches.take(np.zeros(1, int))
         return replace(self._updated(best, cycle.samples, iterations=0), branches=best)
 
     @property
