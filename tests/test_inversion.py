@@ -155,13 +155,15 @@ def test_echo_of_presses_is_that_of_the_network_of_waves(n, monkeypatch):
     given = [Matrices(*(one.scattering.s[None] for _ in range(3))) for one in presses]
     front = given[-1].value[:, :, 0, :, 0, :].reshape(1, -1, 9)
     heard = FrontCoefficients(front, front, front)
-    found = echo(given[:-1], heard, places[None], Waves(k[None], k), 0.3)
+    # Wavenumbers of 0.9 k, whose change by temperature is k per K, are k where it is 0.1 K warmer.
+    warmer = np.array([0.1])
+    found = echo(given[:-1], heard, places[None], warmer, Waves(0.9 * k, k), 0.3)
     pressure = transfer(presses, air, frequency, radius=RADIUS, length=2.5, probes=[0.0],
                         source_reflection=0.3, far_reflection=0.0)[0]  # fmt: skip
     expected = (pressure - 1) / 1.3
     assert np.abs(found.value[0] - expected).max() < 1e-9 * np.abs(expected).max()
     # Also by the network of wrapped tubes, with all derivatives, here for a straight tube.
-    sections = StraightPath(k, k, air.sound_speed).sections(places[None], np.zeros(1))
+    sections = StraightPath(0.9 * k, k, air.sound_speed).sections(places[None], warmer)
     n_f = len(frequency)
     joints = np.zeros((2, 1, n_f, 27), complex)
     joints[..., [0, 4, 8]] = 1.0  # full transmission, no reflection

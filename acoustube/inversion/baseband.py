@@ -74,6 +74,8 @@ class Baseband:
         Wavenumbers of `modes` in 1/m, and their derivatives in 1/(m K), (n_f, n_modes).
     gain : ndarray
         Gain from reflection coefficient to recorded spectrum, in counts s, (n_f,).
+    sent : ndarray
+        That gain without the transducer's resonance, (n_f,).
 
     Raises
     ------
@@ -137,8 +139,8 @@ class Baseband:
         self.per_volt = 2**rangefinder.bits / rangefinder.full_scale
         self._thermal = rangefinder.noise * self.per_volt  # rms in counts
         lead = np.exp(-2j * pi * self.frequency * rangefinder.lead)
-        self.sent = drive * self.turn * lead
-        self.gain = self.press_gain(np.zeros((1, 2)))[0][0]
+        self.sent = rangefinder.gain * self.per_volt * drive * self.turn * lead
+        self.gain = self.press_gain(np.zeros((1, 2)))[0]
 
     def _period(self, least: int) -> int:
         """Return the period of the Fourier transforms in samples, at least `least`."""
@@ -289,10 +291,23 @@ class Baseband:
         return self._of_samples(samples)
 
     def transformed(self, spectrum: Complex) -> Complex:
-        """Return the baseband in counts, (..., n_time), of spectra in counts s, (..., n_f)."""
-        scale = 2 * len(self.bins) * self.step
-        taper = (scale * self.taper).astype(spectrum.real.dtype)
-        return np.fft.ifft(spectrum * taper, axis=-1).take(self.used, axis=-1)
+        """Return the baseband in counts, (..., n_time), of spectra in counts s, (..., n_f).
+
+        The spectra may be given at every m-th frequency only, if m divides n_f (:meth:`every`). The
+        samples are then those of the baseband repeated with n_f / m samples.
+        """
+        count = spectrum.shape[-1]
+        scale = 2 * len(self.bins) * self.step * self.taper[:: len(self.bins) // count]
+        samples = np.fft.ifft(spectrum * scale.astype(spectrum.real.dtype), axis=-1)
+        return samples.take(self.used % count, axis=-1)
+
+    def every(self, duration: float) -> int:
+        """Return the largest m such that every m-th frequency represents echoes of a duration in s.
+
+        Sound that an echo contains later is added to its start (:meth:`transformed`).
+        """
+        most = int(len(self.bins) * self.interval / duration)
+        return next((m for m in range(most, 1, -1) if len(self.bins) % m == 0), 1)
 
     def adjoint(self, samples: Complex) -> Complex:
         """Return the adjoint of :meth:`transformed` applied to samples: spectra (..., n_f).
@@ -304,7 +319,7 @@ class Baseband:
         full[..., self.used[: samples.shape[-1]]] = samples
         return np.asarray(2 * self.step * self.taper * np.fft.fft(full, axis=-1))
 
-    def press_gain(self, detuned: Array) -> tuple[Complex, Complex, Complex]:
+    def press_gain(self, detuned: Array) -> Complex:
         """Return the gain from reflection coefficient to recorded spectrum of detuned transducers.
 
         Parameters
@@ -314,19 +329,15 @@ class Baseband:
 
         Returns
         -------
-        value, by_resonance, by_quality : ndarray
-            Gain in counts s, and its derivatives by the two relative deviations, (n, n_f).
+        ndarray
+            Gain in counts s, (n, n_f).
         """
         r = self.rangefinder
         resonance = r.resonance * (1 + detuned[:, :1])
         quality = r.quality_factor * (1 + detuned[:, 1:])
         f = self.frequency
         off = f / resonance - resonance / f
-        response = 1 / (1 + 1j * quality * off)
-        value = r.gain * self.per_volt * response**2 * self.sent
-        slope = -2 * value * response * 1j
-        by_resonance = slope * quality * (-f / resonance**2 - 1 / f) * r.resonance
-        return value, by_resonance, slope * off * r.quality_factor
+        return np.asarray(self.sent / (1 + 1j * quality * off) ** 2)
 
     def _of_samples(self, samples: Array) -> Complex:
         time = np.arange(samples.shape[-1]) / self.rate

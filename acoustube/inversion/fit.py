@@ -24,6 +24,8 @@ from acoustube.waves.scattering import Complex
 
 CONVERGED = 0.02
 """Largest decrease of the cost of :class:`Fits` in one iteration at which a fit has converged."""
+UNFINISHED = 1.0
+"""Decrease of the cost in the last iteration above which a fit has not reached a maximum."""
 DAMPING, RAISED, LOWERED = 1e-2, 6.0, 5.0
 """Initial Levenberg-Marquardt damping, its factor after a step that does not lower the cost, and
 its divisor otherwise."""
@@ -102,7 +104,8 @@ def maximise(
     The fits are in the order of the starting points. A starting point whose cost stays far above
     the least, or above that of a known maximum, or that comes to the known maximum, is given up:
     its last parameters are returned. One that comes within :data:`SAME_MAXIMUM` of a better one is
-    given the maximum of the better one.
+    given the maximum of the better one. Where the cost still falls by more than
+    :data:`UNFINISHED` in the last iteration, the known maximum is returned unless it is worse.
 
     Parameters
     ----------
@@ -122,6 +125,7 @@ def maximise(
     at = bounded(model, tools, start)
     cost, gradient, information = _quadratic(model, tools, at, samples, whiten)
     damping, active = np.full(len(at), DAMPING), np.ones(len(at), bool)
+    fallen = np.zeros(len(at))
     leader = np.arange(len(at))
     for number in range(iterations):
         if known is not None:
@@ -149,7 +153,12 @@ def maximise(
         j = i[better]
         at[j], cost[j] = tried[better], new[0][better]
         gradient[j], information[j] = new[1][better], new[2][better]
+        fallen[i] = np.where(better, gain, 0.0)
         active[i] = (gain > CONVERGED) & (damping[i] < 1e5)
+    if known is not None:
+        lost = active & (fallen > UNFINISHED) & (cost > known.cost[0])
+        at[lost], cost[lost] = known.parameters[0], known.cost[0]
+        information[lost] = known.information[0]
     while np.any(leader[leader] != leader):  # a leader may follow another
         leader = leader[leader]
     return Fits(at[leader], cost[leader], information[leader])

@@ -18,7 +18,7 @@ from acoustube.base.types import Array
 from acoustube.inversion.fit import Fits, distinct, evidence, maximise
 from acoustube.inversion.likelihood import deviance_of, echo_of, weights
 from acoustube.inversion.model import NUISANCES, ForwardModel
-from acoustube.inversion.other_depths import other_depths
+from acoustube.inversion.other_maxima import JOINT, beside, farther, other_depths
 from acoustube.inversion.parameters import CLOSEST, joined, least_gain, split
 from acoustube.inversion.search import Templates, front_of
 from acoustube.inversion.whitening import Weights, mean_square
@@ -36,8 +36,6 @@ SHIFTS = (
     (0, -0.15e-3), (0, 0.15e-3), (1, 0.15e-3), (-1, -0.15e-3), (1, -0.15e-3), (-1, 0.15e-3),
 )  # fmt: skip
 """Shifts of place in half wavelengths and of depth in m by which other maxima are sought."""
-JOINT = -3, -2, -1, 1, 2, 3
-"""Shifts of all presses together, in half wavelengths, by which other maxima are sought."""
 POOR = 0.05
 """Relative error of the model above which it is estimated anew after shifts of all presses."""
 JUDGED = 4
@@ -58,14 +56,15 @@ further after `STARTS[0]` iterations. In twelve recordings of single presses, th
 to the best maximum was among the first eight of an earlier search with fewer candidates."""
 FOLLOWED = 2
 """Number of combinations of tool and order along the tube whose model error is estimated."""
+EXACT, NOISE_ALONE = 0.01, 1.5
+"""The best of several fits is taken, and their evidence not compared, if the most likely error of
+the model is at most `EXACT`, or if the mean square of its residual, whitened without such an error,
+is at most `NOISE_ALONE`."""
 LOUD = 5.0
 """Smoothed level of the whitened samples, relative to the noise, at which an echo begins."""
 HOPELESS = 10.0
 """Excess of the deviance with one more press over that without it, above which the press is not
 followed. The deviance with the press is that before its model error and other maxima are known."""
-UNLIKELY, FARTHER = 8.0, 4
-"""Excess of the cost (minus twice the log likelihood) over the least, below which a maximum is
-likely, and number of half wavelengths tried beyond a likely maximum far from the best."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,8 +274,17 @@ class Builder:
 
     def _fitted(self, tools: tuple[int, ...], fits: Fits) -> Hypothesis:
         """Return the hypothesis of the most likely fit, with an estimated model error."""
-        tried = [self._alone(tools, fits.parameters[i : i + 1]) for i in range(len(fits.cost))]
+        tried = list[Hypothesis]()
+        for at in fits.parameters:
+            tried.append(self._alone(tools, at[None]))
+            if len(tried) == 1 and (tried[0].error <= EXACT or self._noise_alone(tried[0])):
+                break
         return min(tried, key=lambda one: one.deviance)
+
+    def _noise_alone(self, known: Hypothesis) -> bool:
+        """Return whether the residual of a hypothesis is that of noise and clutter alone."""
+        white = self.quiet(self.residual_of(known))
+        return mean_square(white, self.model.base.freedom) <= NOISE_ALONE
 
     def _alone(self, tools: tuple[int, ...], at: Array) -> Hypothesis:
         """Return the hypothesis fitted twice in succession from one point (1, n_parameters).
@@ -317,6 +325,7 @@ class Builder:
             better = self._alone(known.tools, others.sorted().parameters[:1])
             if better.deviance < known.deviance - 1:
                 return self.shifted(better)
+        others = beside(self.model, known.fits, known.tools, others, self.samples, known.whiten)
         merged = distinct(known.fits.and_those(fits).and_those(others), m)
         error, whiten = known.error, known.whiten
         moved = not np.array_equal(merged.parameters[0], known.best)
@@ -324,29 +333,12 @@ class Builder:
             error, whiten = self._likely_error(known.tools, merged.parameters[0])
             start = merged.parameters
             merged = distinct(maximise(self.model, known.tools, start, self.samples, whiten, 8), m)
-        merged = self._farther(known.tools, merged, whiten, half)
+        merged = farther(self.model, merged, known.tools, self.samples, whiten)
         return self._judged(known.tools, merged, error, whiten)
 
     def pruned(self, known: Hypothesis) -> list[Hypothesis]:
         """Return hypotheses with one press left out, for each press in turn."""
         return [self._fitted(*_without(known, i)) for i in range(len(known.tools))]
-
-    def _farther(self, tools: tuple[int, ...], fits: Fits, whiten: Weights, half: float) -> Fits:
-        """Return fits, and maxima beyond likely ones more than 2.5 `half` in m from the best."""
-        likely = fits.cost < fits.cost[0] + UNLIKELY
-        m = len(tools)
-        starts = []
-        for i in range(m):
-            places = fits.parameters[likely, 2 * i]
-            for end, sign in ((np.argmin(places), -1), (np.argmax(places), 1)):
-                if abs(places[end] - fits.parameters[0, 2 * i]) > 2.5 * half:
-                    start = np.repeat(fits.parameters[likely][[end]], FARTHER, axis=0)
-                    start[:, 2 * i] += sign * half * np.arange(1, FARTHER + 1)
-                    starts.append(start)
-        if not starts:
-            return fits
-        found = maximise(self.model, tools, np.concatenate(starts), self.samples, whiten, 8)
-        return distinct(fits.and_those(found), m)
 
     def _likely_error(
         self, tools: tuple[int, ...], parameters: Array, *, spread: bool = True

@@ -202,32 +202,41 @@ class ForwardModel:
             Derivatives by place and depth of each press in turn, then by the nuisance parameters,
             in single precision, (n, 2 n_presses + 6, n_time).
         """
-        n, m = places.shape
-        base = self.base
-        temperature, gain, phase = nuisances[:, 0], nuisances[:, 1], nuisances[:, 2]
-        spectrum = np.zeros((n, 2 * m + len(NUISANCES) + 1, len(base.frequency)), complex)
-        if m:
-            stretch = self.stretch + self.stretch_by_temperature * temperature + nuisances[:, 5]
-            found, matrices = self._echo(tools, places, depths, temperature, stretch)
-            factor, by_resonance, by_quality = base.press_gain(nuisances[:, 3:5])
-            turn = np.exp(gain + 1j * phase)[:, None]
-            factor = factor * turn
-            value: Complex = factor * found.value
-            spectrum[:, 0] = value
-            spectrum[:, 1 : 2 * m + 1 : 2] = factor[:, None] * found.by_place
-            spectrum[:, 2 : 2 * m + 1 : 2] = factor[:, None] * found.by_depth
-            rest = spectrum[:, 2 * m + 1 :]
-            warm = found.by_temperature + self.stretch_by_temperature * found.by_stretch
-            rest[:, 0], rest[:, 1], rest[:, 2] = factor * warm, value, 1j * value
-            rest[:, 3] = turn * by_resonance * found.value
-            rest[:, 4] = turn * by_quality * found.value
-            rest[:, 5] = factor * found.by_stretch
-            self._add_clutter(spectrum, places, temperature, matrices)
-        elif self.clutter.behind is not None:
-            value, _, warm = self.clutter.beyond(np.zeros(n), temperature)
-            spectrum[:, 0], spectrum[:, 1] = base.gain * value, base.gain * warm
-        slopes = spectrum[:, 1:].astype(np.complex64)
-        return base.transformed(spectrum[:, 0]) + self.clutter.ring, base.transformed(slopes)
+        base, clutter = self.base, self.clutter
+        if places.shape[1]:
+            value, slopes = self._recorded(tools, places, depths, nuisances)
+        else:
+            n, n_f = len(places), len(base.frequency)
+            value = np.zeros((n, n_f), complex)
+            slopes = np.zeros((n, len(NUISANCES), n_f), np.complex64)
+            if clutter.behind is not None:
+                untouched, _, warm = clutter.beyond(np.zeros(n), nuisances[:, 0])
+                value, slopes[:, 0] = base.gain * untouched, base.gain * warm
+        return base.transformed(value) + clutter.ring, base.transformed(slopes)
+
+    def _recorded(
+        self, tools: tuple[int, ...], places: Array, depths: Array, nuisances: Array
+    ) -> tuple[Complex, Complex]:
+        """Return recorded spectra in counts s, and derivatives, of presses and clutter.
+
+        Their shapes are (n, n_f) and, in single precision, (n, 2 n_presses + 6, n_f).
+        """
+        from acoustube.inversion.recorded_sums import add_clutter, recorded  # imports Numba
+
+        (n, m), base = places.shape, self.base
+        temperature = nuisances[:, 0]
+        warming = self.stretch_by_temperature
+        stretch = self.stretch + warming * temperature + nuisances[:, 5]
+        found, matrices = self._echo(tools, places, depths, temperature, stretch)
+        transducer = base.rangefinder.resonance, base.rangefinder.quality_factor
+        value, slopes = recorded(*found, nuisances, base.frequency, base.sent, transducer, warming)
+        if self.clutter.behind is not None:
+            passed = np.array([one.transmission() for one in matrices])
+            at = np.concatenate([np.zeros((n, 1)), places], axis=1).ravel()
+            beyond = np.array(self.clutter.beyond(at, np.repeat(temperature, m + 1)))
+            beyond = beyond.reshape(3, n, m + 1, -1)
+            add_clutter(value, slopes, beyond, passed, base.gain, warming)
+        return value, slopes
 
     def by_losses(
         self, tools: tuple[int, ...], places: Array, depths: Array, nuisances: Array
@@ -250,7 +259,7 @@ class ForwardModel:
         temperature = nuisances[:, 0]
         stretch = self.stretch + self.stretch_by_temperature * temperature + nuisances[:, 5]
         found, _ = self._echo(tools, places, depths, temperature, stretch)
-        factor, *_ = self.base.press_gain(nuisances[:, 3:5])
+        factor = self.base.press_gain(nuisances[:, 3:5])
         turn = np.exp(nuisances[:, 1] + 1j * nuisances[:, 2])[:, None]
         return self.base.transformed(1j * factor * turn * found.by_stretch)
 
@@ -265,54 +274,13 @@ class ForwardModel:
         given = [self.tables[tool](depths[:, i], stretch) for i, tool in enumerate(whole)]
         if not path.converts:
             heat = base.k_by_temperature[:, : self.modes]
-            waves = Waves(base.k[:, : self.modes] + temperature[:, None, None] * heat, heat)
+            waves = Waves(base.k[:, : self.modes], heat)
             last = self.tables[tools[-1]].front(depths[:, -1], stretch)
-            return echo(given, last, places, waves, face), [*given, last]
+            return echo(given, last, places, temperature, waves, face), [*given, last]
         assert isinstance(path, WrappedPath)
         presses = [path.joined(one, places[:, i], temperature) for i, one in enumerate(given)]
         sections, entry = path.sections(places, temperature), path.entry(temperature)
         return coupled_echo(presses, sections, face, entry), presses
-
-    def _add_clutter(
-        self,
-        spectrum: Complex,
-        places: Array,
-        temperature: Array,
-        matrices: Sequence[Matrices | FrontCoefficients | Joined],
-    ) -> None:
-        """Add the clutter, attenuated by the presses before it, and its derivatives to `spectrum`.
-
-        With the clutter C(z) of all the tube beyond z and the two-way transmissions t_i of the
-        presses at z_i, it is C(0) - C(z_1) + t_1 (C(z_1) - C(z_2)) + t_1 t_2 (C(z_2) - ...) + ...
-        """
-        if self.clutter.behind is None:
-            return
-        gain, m = self.base.gain, len(matrices)
-        passed = [one.transmission() for one in matrices]
-        through = [value for value, *_ in passed]
-        value, _, warm = self.clutter.beyond(np.zeros(len(places)), temperature)
-        spectrum[:, 0] += gain * value
-        spectrum[:, 2 * m + 1] += gain * warm
-        beyond = [self.clutter.beyond(places[:, i], temperature) for i in range(m)]
-        dimmed: list[Complex] = [np.ones_like(through[0])]
-        for one in through:
-            dimmed.append(dimmed[-1] * one)
-        # The sum is C(0) + sum_i (dimmed_i+1 - dimmed_i) C(z_i), with dimmed_i+1 = t_1 ... t_i.
-        for i, (value, by_place, warm) in enumerate(beyond):
-            share = gain * (dimmed[i + 1] - dimmed[i])
-            spectrum[:, 0] += share * value
-            spectrum[:, 1 + 2 * i] += share * by_place
-            spectrum[:, 2 * m + 1] += share * warm
-        for i, (_, *changes) in enumerate(passed):
-            onwards = dimmed[i] * beyond[i][0]
-            product: Complex = dimmed[i]
-            for j in range(i + 1, m):
-                onwards = onwards + product * (through[j] - 1) * beyond[j][0]
-                product = product * through[j]
-            deepened, stretched = (gain * change * onwards for change in changes)
-            spectrum[:, 2 + 2 * i] += deepened
-            spectrum[:, -1] += stretched
-            spectrum[:, 2 * m + 1] += self.stretch_by_temperature * stretched
 
     def without_presses(self, nuisances: Array) -> Complex:
         """Return the untouched tube's baseband in counts, (n, n_time), for nuisances (n, 6)."""

@@ -46,9 +46,9 @@ class Echo(NamedTuple):
 
 
 class Waves(NamedTuple):
-    """Axial wavenumbers of the modes in 1/m, (n, n_f, m), and their derivatives by temperature.
+    """Axial wavenumbers of the modes in 1/m, (n_f, m), and their derivatives by temperature.
 
-    The derivatives, in 1/(m K), are the same for all parameter sets, (n_f, m).
+    The wavenumbers are those at the nominal temperature; the derivatives are in 1/(m K), (n_f, m).
     """
 
     k: Complex
@@ -56,8 +56,9 @@ class Waves(NamedTuple):
 
 
 def echo(
-    before: list[Matrices], last: FrontCoefficients, places: Array, waves: Waves, face: complex
-) -> Echo:
+    before: list[Matrices], last: FrontCoefficients, places: Array, temperature: Array,
+    waves: Waves, face: complex,
+) -> Echo:  # fmt: skip
     """Return the echo of presses at the face of the source.
 
     Parameters
@@ -68,6 +69,8 @@ def echo(
         Coefficients of the last press.
     places : ndarray
         Distances of the presses from the face in m, rising, (n, n_presses).
+    temperature : ndarray
+        Deviations of the temperature from the nominal one in K, (n,).
     waves : Waves
     face : complex
         Reflection coefficient of the face for all modes.
@@ -84,15 +87,13 @@ def echo(
 
     missing = MOST_MODES - waves.k.shape[-1]
     k, heat = (
-        np.pad(one, [(0, 0)] * (one.ndim - 1) + [(0, missing)])
-        if missing
-        else np.ascontiguousarray(one)
+        np.pad(one, [(0, 0), (0, missing)]) if missing else np.ascontiguousarray(one)
         for one in waves
     )
-    path = np.exp(-1j * lengths[:, :, None, None] * k[:, None])
-    matrices = (_stacked([press[i] for press in before], k.shape[:2]) for i in range(3))
+    shape = len(places), len(k)
+    matrices = (_stacked([press[i] for press in before], shape) for i in range(3))
     value, by_length, by_depth, heated, stretched = echoes(
-        *matrices, *last, lengths, path, k, heat, complex(face)
+        *matrices, *last, lengths, temperature, k, heat, complex(face)
     )
     # A place is the end of its own section and the start of the next.
     following = np.concatenate([by_length[:, 1:], np.zeros_like(by_length[:, :1])], axis=1)

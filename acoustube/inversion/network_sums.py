@@ -31,6 +31,13 @@ from acoustube.waves.scattering import Complex
 
 
 @compiled
+def _propagation(length: float, wavenumber: complex) -> complex:
+    """Return exp(-j k L) for a wavenumber k in 1/m and a length L in m."""
+    size, angle = np.exp(length * wavenumber.imag), length * wavenumber.real
+    return complex(size * np.cos(angle), -size * np.sin(angle))
+
+
+@compiled
 def _moved(change: Complex, left: Vector, right: Vector, out: Vector, into: Vector) -> complex:
     """Return the change of the echo by a change of the matrix of any press but the last.
 
@@ -45,7 +52,8 @@ def _moved(change: Complex, left: Vector, right: Vector, out: Vector, into: Vect
 @numba.njit(**OPTIONS)
 def echoes(
     s: Complex, s_depth: Complex, s_stretch: Complex, last: Complex, last_depth: Complex,
-    last_stretch: Complex, lengths: Array, path: Complex, k: Complex, heat: Complex, face: complex,
+    last_stretch: Complex, lengths: Array, temperature: Array, k: Complex, heat: Complex,
+    face: complex,
 ) -> tuple[Complex, Complex, Complex, Complex, Complex]:  # fmt: skip
     """Return the echo and its derivatives by lengths, depths, temperature and stretch.
 
@@ -59,10 +67,10 @@ def echoes(
         derivatives, (n, n_f, 9) or more columns.
     lengths : ndarray
         Lengths of the straight tube before each press in m, (n, n_presses).
-    path : ndarray
-        Propagation factors of the modes over these lengths, (n, n_presses, n_f, 3).
+    temperature : ndarray
+        Deviations of the temperature from the nominal one in K, (n,).
     k : ndarray
-        Wavenumbers in 1/m, (n, n_f, 3).
+        Wavenumbers at the nominal temperature in 1/m, (n_f, 3).
     heat : ndarray
         Their derivatives by temperature in 1/(m K), (n_f, 3).
     face : complex
@@ -74,13 +82,20 @@ def echoes(
         Echo, (n, n_f); derivatives by lengths and depths, (n, n_presses, n_f) each; derivatives by
         temperature and stretch, (n, n_f) each.
     """
-    n, p, n_f = path.shape[:3]
+    (n, p), n_f = lengths.shape, len(k)
     value = np.empty((n, n_f), np.complex128)
     lengthened, deepened = np.empty((2, n, p, n_f), np.complex128)
     heated, stretched = np.zeros((2, n, n_f), np.complex128)
     load, loop = np.empty((2, p, 9), np.complex128)
+    path = np.empty((p, 3), np.complex128)
     for a in range(n):
+        warmer = temperature[a] + 0j, temperature[a] + 0j, temperature[a] + 0j
         for f in range(n_f):
+            warm = heat[f, 0], heat[f, 1], heat[f, 2]
+            wave = plus((k[f, 0], k[f, 1], k[f, 2]), each(warm, warmer))
+            for i in range(p):
+                for c in range(3):
+                    path[i, c] = _propagation(lengths[a, i], wave[c])
             # From the last press to the face: the reflection matrix at the start of the tube before
             # each press, and, for multiple reflections behind the press, the inverse of I - B R2,
             # with the reflection matrices B of all that follows and R2 of the back of the press.
@@ -93,7 +108,7 @@ def echoes(
                     keep(inner, loop[i + 1])
                     turned = product(inner, product(behind, block(one, 1, 0)))
                     found = added(block(one, 0, 0), product(block(one, 0, 1), turned))
-                way = path[a, i, f, 0], path[a, i, f, 1], path[a, i, f, 2]
+                way = path[i, 0], path[i, 1], path[i, 2]
                 keep(scaled(way, found, way), load[i])
             seen = kept(load[0])
             sent_back = (
@@ -103,10 +118,6 @@ def echoes(
             inner = inverse(unit_less(sent_back))
             left, right = (inner[0], inner[1], inner[2]), (inner[0], inner[3], inner[6])
             value[a, f] = dot(left, (seen[0], seen[3], seen[6]))
-            wave, warm = (
-                (k[a, f, 0], k[a, f, 1], k[a, f, 2]),
-                (heat[f, 0], heat[f, 1], heat[f, 2]),
-            )
             # From the face on: the row vector `left` of the waves that reach the face from a plane,
             # and the column vector `right` of those that reach the plane from the face.
             for i in range(p):
@@ -114,7 +125,7 @@ def echoes(
                 both = plus(each(left, apply(seen, right)), each(apply_left(left, seen), right))
                 lengthened[a, i, f] = -1j * dot(wave, both)
                 heated[a, f] -= 1j * lengths[a, i] * dot(warm, both)
-                way = path[a, i, f, 0], path[a, i, f, 1], path[a, i, f, 2]
+                way = path[i, 0], path[i, 1], path[i, 2]
                 left, right = each(left, way), each(way, right)
                 if i == p - 1:
                     deepened[a, i, f] = dot(left, apply(kept(last_depth[a, f]), right))

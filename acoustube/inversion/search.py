@@ -259,8 +259,9 @@ class _Zone:
         low, high = places[0] - reach - step, places[-1] + reach + 2 * step
         self.nodes = np.arange(max(low, self.origin), high, step)
         ranges = base.echo_ranges(self.nodes, BEFORE, LASTING, whiten.n_samples)
-        modes = self._modes(self.nodes)
-        parts = self.shapes.real.copy(), self.shapes.imag.copy()
+        every = base.every(BEFORE + base.rangefinder.drive.duration + LASTING)
+        modes = np.ascontiguousarray(self._modes(self.nodes)[..., ::every])
+        parts = self.shapes.real[..., ::every].copy(), self.shapes.imag[..., ::every].copy()
         energy = np.empty((len(self.nodes), len(self.shapes)), np.float32)
         for some in np.array_split(np.arange(len(self.nodes)), 1 + len(self.nodes) // CHUNK):
             spectra = propagated(*parts, self.there, self.back, modes[some])
