@@ -302,9 +302,11 @@ def test_modes_propagate_to_evenly_spaced_places_as_to_single_ones(step):
         places = origin + 0.031 + step * np.arange(100)
         phase = path.phases(places, 0.3) - path.phases(np.array([origin]), 0.3, behind=True)
         expected = np.exp(-1j * phase).swapaxes(1, 2)
-        found = path.propagated(origin, places, 0.3)
+        found = path.propagated(origin, places, 0.3, path.modes)
         assert found.dtype == np.complex64
         np.testing.assert_allclose(found, expected, atol=1e-5)
+        plane = path.propagated(origin, places, 0.3, 1)
+        np.testing.assert_array_equal(plane, found[:, :1])
 
 
 @pytest.mark.parametrize("modes", [1, 2, 3])

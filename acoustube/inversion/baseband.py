@@ -299,6 +299,8 @@ class Baseband:
         count = spectrum.shape[-1]
         scale = 2 * len(self.bins) * self.step * self.taper[:: len(self.bins) // count]
         samples = np.fft.ifft(spectrum * scale.astype(spectrum.real.dtype), axis=-1)
+        if count == len(self.bins):  # the samples used are consecutive
+            return samples[..., self.used[0] : self.used[-1] + 1]
         return samples.take(self.used % count, axis=-1)
 
     def every(self, duration: float) -> int:

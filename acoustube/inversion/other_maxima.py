@@ -16,9 +16,9 @@ from acoustube.waves.scattering import Complex
 
 STEP = 0.4e-3
 """Step in m between the depths that are tried."""
-ITERATIONS = 8
-"""Iterations from each starting point; fewer if :func:`acoustube.inversion.fit.maximise` gives it
-up."""
+ITERATIONS, TRIED = 8, 2
+"""Iterations from each starting point, fewer if :func:`acoustube.inversion.fit.maximise` gives it
+up; and iterations after which a depth is given up whose cost exceeds that of a neighbouring one."""
 JOINT = -3, -2, -1, 1, 2, 3
 """Shifts in half wavelengths by which other maxima are sought: of all presses together, and of a
 press at another depth."""
@@ -33,6 +33,8 @@ def other_depths(model: ForwardModel, known: Fits, tools: tuple[int, ...], sampl
 
     The depths tried are more than :data:`STEP` from that of the best fit; if the tool has no such
     depth, they are the ends of its range. All other parameters start at those of the best fit.
+    After :data:`TRIED` iterations only those are followed whose cost is below that of both
+    neighbouring depths: the others descend to the same maxima.
 
     Parameters
     ----------
@@ -53,8 +55,12 @@ def other_depths(model: ForwardModel, known: Fits, tools: tuple[int, ...], sampl
         depths = depths[far] if far.any() else np.array([low, high])
         start = np.repeat(known.parameters[:1], len(depths), axis=0)
         start[:, 2 * i + 1] = depths
-        starts.append(start)
-    return maximise(model, tools, np.concatenate(starts), samples, whiten, ITERATIONS, known)
+        tried = maximise(model, tools, start, samples, whiten, TRIED, known)
+        cost = np.pad(tried.cost, 1, constant_values=np.inf)
+        lower = (tried.cost <= cost[:-2]) & (tried.cost <= cost[2:])
+        starts.append(np.unique(tried.parameters[lower], axis=0))
+    followed = np.concatenate(starts)
+    return maximise(model, tools, followed, samples, whiten, ITERATIONS - TRIED, known)
 
 
 def beside(model: ForwardModel, known: Fits, tools: tuple[int, ...], others: Fits,

@@ -105,8 +105,8 @@ class Path(Protocol):
         front of each press or, if `behind` is true, at its back.
         """
 
-    def propagated(self, origin: float, places: Array, temperature: float) -> Complex:
-        """Return the modes' propagation factors from behind a press to the fronts of others.
+    def propagated(self, origin: float, places: Array, temperature: float, modes: int) -> Complex:
+        """Return the propagation factors of modes from behind a press to the fronts of others.
 
         Parameters
         ----------
@@ -116,6 +116,8 @@ class Path(Protocol):
             Places of the other presses in m, evenly spaced, (n,).
         temperature : float
             Deviation of the temperature in K.
+        modes : int
+            Number of modes, the plane mode first.
 
         Returns
         -------
@@ -189,13 +191,13 @@ class StraightPath:
         """Return the modes' phases in rad from the face to places (n,) in m, (n, n_f, m)."""
         return np.asarray(places[:, None, None] * (self.k + temperature * self.by_temperature))
 
-    def propagated(self, origin: float, places: Array, temperature: float) -> Complex:
-        """Return the modes' factors from `origin` to evenly spaced places (n,), (n, m, n_f).
+    def propagated(self, origin: float, places: Array, temperature: float, modes: int) -> Complex:
+        """Return factors from `origin` to evenly spaced places (n,) of some modes, (n, modes, n_f).
 
         They are products of factors to one in :data:`AT_ONCE` places and of factors over fewer
         steps, since exponentials take several times as long as products.
         """
-        k: Complex = (self.k + temperature * self.by_temperature).T
+        k: Complex = (self.k + temperature * self.by_temperature).T[:modes]
         step = float(places[1] - places[0]) if len(places) > 1 else 0.0
         near = step * np.arange(min(len(places), AT_ONCE))[:, None, None]
         far = (places[::AT_ONCE] - max(origin, 0.0))[:, None, None]

@@ -192,16 +192,19 @@ class Templates:
             front, reflection = before[number], self._reflection(0.5 * (start + stop))
             parts: list[tuple[Complex, int, int]] = []
             for a, b in itertools.combinations_with_replacement(range(path.modes), 2):
-                shape = front.out[:, a] * front.into[:, b] * reflection[:, :, a, b]
+                both = gain * front.out[:, a] * front.into[:, b]
+                other = gain * front.out[:, b] * front.into[:, a]
+                if b and not (np.any(both) or np.any(other)):  # at least one part
+                    continue
+                shape = both.astype(np.complex64) * reflection[a, b]
                 if a != b:
-                    shape = shape + front.out[:, b] * front.into[:, a] * reflection[:, :, b, a]
-                if np.any(shape) or not b:  # at least one, of which zeros are possible
-                    parts.append((gain * shape, a, b))
+                    shape += other.astype(np.complex64) * reflection[b, a]
+                parts.append((shape, a, b))
             found.append(_Zone(parts, path, front, temperature, field))
         return found, np.array([start for start, _ in places])
 
     def _reflection(self, place: float) -> Complex:
-        """Return reflection matrices of all depths at a place, (n_depths, n_f, m, m)."""
+        """Return reflection matrices of all depths at a place, (m, m, n_depths, n_f)."""
         path = self.model.path
         place = place if path.converts else 0.0
         if place not in self._reflections:
@@ -209,7 +212,8 @@ class Templates:
                 self._reflections.clear()
             at = np.full(len(self.depths), place)
             joined = path.joined(self.whole, at, np.zeros(len(at)))
-            self._reflections[place] = joined.value[:, :, 0, :, 0, :]
+            matrices = joined.value[:, :, 0, :, 0, :].astype(np.complex64)
+            self._reflections[place] = np.ascontiguousarray(np.moveaxis(matrices, (2, 3), (0, 1)))
         return self._reflections[place]
 
 
@@ -235,8 +239,9 @@ class _Zone:
         field: Complex,
     ) -> None:  # fmt: skip
         self.path, self.origin, self.warmer, self.field = path, front.place, warmer, field
-        self.shapes = np.stack([shape for shape, _, _ in parts], axis=1).astype(np.complex64)
+        self.shapes = np.stack([shape for shape, _, _ in parts], axis=1)
         self.there, self.back = (np.array([part[i] for part in parts]) for i in (1, 2))
+        self.n_modes = 1 + int(self.back.max())
         self.nodes, self.level = np.zeros(0), np.zeros((0, 0))
 
     def set_energy(self, base: Baseband, whiten: Weights, places: Array, reach: float) -> None:
@@ -293,7 +298,7 @@ class _Zone:
 
     def _modes(self, places: Array) -> Complex:
         """Return the modes' factors from the origin to evenly spaced places, (n_places, m, n_f)."""
-        return self.path.propagated(self.origin, places, self.warmer)
+        return self.path.propagated(self.origin, places, self.warmer, self.n_modes)
 
 
 def around(place: float) -> tuple[float, float]:

@@ -283,11 +283,14 @@ class WrappedPath:
         at = self._inside(places + (reach if behind else -reach))
         return np.asarray(self.phase(at) + temperature * self.warmer(at))
 
-    def propagated(self, origin: float, places: Array, temperature: float) -> Complex:
-        """Return the modes' factors from behind a press at `origin` to places (n,), (n, m, n_f)."""
+    def propagated(self, origin: float, places: Array, temperature: float, modes: int) -> Complex:
+        """Return some modes' factors from behind a press at `origin` to places (n,).
+
+        Their shape is (n, modes, n_f).
+        """
         start = self.phases(np.array([origin]), temperature, behind=True)
         passed = self.phases(places, temperature) - start
-        return propagation_factor(np.ascontiguousarray(passed.swapaxes(1, 2)))
+        return propagation_factor(np.ascontiguousarray(passed.swapaxes(1, 2)[:, :modes]))
 
     def plane(self, places: Array) -> tuple[Complex, Complex]:
         """Return the plane wave's phases from the face in rad, and changes in rad/K, (n_f, n)."""
