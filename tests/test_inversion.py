@@ -583,7 +583,10 @@ def test_tolerances_of_bore_and_modulus_widen_depth_and_force(base, library, unt
 
 
 def test_two_depths_of_similar_echoes_are_both_in_the_posterior(base, library, untouched):
-    """The tool has nearly the same echo at a depth d over 4 mm as at 8 mm - d."""
+    """The tool has nearly the same echo at a depth d over 4 mm as at 8 mm - d.
+
+    Both depths have maxima half wavelengths away too, so that both are about equally likely.
+    """
     known = library.tools[0]
 
     def heard(depth):
@@ -597,7 +600,7 @@ def test_two_depths_of_similar_echoes_are_both_in_the_posterior(base, library, u
         found = inverter(cycles["signal"].values).contacts[0].depth
         for mode in (heard(depth), (8e-3 - heard(depth)) / 0.98):
             near = np.abs(found.means - mode) < 0.3e-3
-            assert found.weights[near].sum() > 0.02
+            assert 0.4 < found.weights[near].sum() < 0.6
         low, high = found.intervals[0.9]
         assert low < depth < high
 

@@ -185,6 +185,24 @@ def test_starting_points_that_meet_have_one_maximum(model):
     np.testing.assert_array_equal(with_known.parameters[[2, 3]], start[[2, 3]])
 
 
+def test_starting_points_that_still_fall_have_the_known_maximum(model):
+    """After one iteration from another depth; after many, the fit is that of the starting point."""
+    whiten = weights(model, model.base.noise(1), 0.05, echo_of(model, (0,), PRESS))
+    samples = model.baseband((0,), *split(PRESS[None]))[0][0]
+    known = maximise(model, (0,), PRESS[None], samples, whiten)
+    start = PRESS[None] + np.array([0.0, 0.7e-3, 0, 0, 0, 0, 0, 0])
+    early = maximise(model, (0,), start, samples, whiten, 1)
+    assert early.cost[0] > known.cost[0] + 1
+    assert abs(early.parameters[0, 1] - start[0, 1]) > 0.1e-3
+    replaced = maximise(model, (0,), start, samples, whiten, 1, known)
+    np.testing.assert_array_equal(replaced.parameters, known.parameters)
+    assert replaced.cost == known.cost
+    # Its cost is lower than that of a known maximum that is worse.
+    worse = dataclasses.replace(known, cost=early.cost + 1)
+    kept = maximise(model, (0,), start, samples, whiten, 1, worse)
+    np.testing.assert_array_equal(kept.parameters, early.parameters)
+
+
 def test_information_is_positive_where_place_and_temperature_are_one_delay():
     """The information matrix is positive definite for a loud echo without learned clutter.
 
@@ -269,6 +287,24 @@ def test_search_finds_nothing_outside_its_range_or_under_its_least_gain(model):
     elsewhere = templates.search(echo, whiten, silent, within=(0.9, 1.0))
     assert not len(elsewhere.gain) or elsewhere.gain[0] < 0.1 * found.gain[0]
     assert np.all((elsewhere.place > 0.88) & (elsewhere.place < 1.02))
+
+
+@RANGEFINDERS
+def test_few_frequencies_give_the_baseband_repeated(rangefinder):
+    """A spectrum at every m-th frequency repeats the samples, and m leaves room for an echo."""
+    base = baseband_of(rangefinder, RADIUS, LENGTH, 20.0, MODES)
+    n = len(base.bins)
+    rng = np.random.default_rng(5)
+    spectrum = rng.normal(size=n) + 1j * rng.normal(size=n)
+    every = base.every(0.3 * n * base.interval)
+    assert every == max(m for m in (1, 2, 3) if n % m == 0)
+    whole = np.fft.ifft(2 * n * base.step * base.taper * spectrum)
+    repeated = np.tile(whole.reshape(every, -1).sum(axis=0), every)[base.used]
+    if base.freedom < 1:
+        repeated = (repeated * (-1.0) ** base.used).real
+    found = base.transformed(spectrum[::every])
+    np.testing.assert_allclose(found, repeated, atol=1e-12 * np.abs(whole).max())
+    assert base.every(1.01 * n * base.interval) == 1
 
 
 @pytest.mark.parametrize("learned", [False, True])
