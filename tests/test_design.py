@@ -16,7 +16,7 @@ from acoustube.air import air_at
 from acoustube.base.errors import ConfigError
 from acoustube.indentation import DepthPath
 from acoustube.inversion import Baseband, ForwardModel, Library, Priors
-from acoustube.inversion.baseband import half_width
+from acoustube.inversion.band import half_width
 from acoustube.inversion.design import (
     Contacts,
     Electronics,

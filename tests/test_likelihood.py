@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from test_inversion import MODES, RADIUS, press, tool
+from test_inversion import FREQUENCY, MODES, RADIUS, matrices, press, tool
 
 from acoustube.inversion import (
     Baseband,
@@ -26,6 +26,7 @@ from acoustube.inversion.doubt import doubted
 from acoustube.inversion.fit import Fits, _follow, maximise
 from acoustube.inversion.hypotheses import Builder, Hypothesis
 from acoustube.inversion.likelihood import deviance_of, echo_of, weights, whitened
+from acoustube.inversion.other_maxima import other_depths
 from acoustube.inversion.parameters import cost_of_press, split
 from acoustube.inversion.peeling import peeled
 from acoustube.inversion.search import Templates, front_of
@@ -185,6 +186,35 @@ def test_starting_points_that_meet_have_one_maximum(model):
     np.testing.assert_array_equal(with_known.parameters[[2, 3]], start[[2, 3]])
 
 
+@pytest.mark.parametrize("depth", [2.8e-3, 3.5e-3, 3.6e-3])
+def test_other_depth_of_nearly_the_same_echo_is_found(depth):
+    """Also where the depths between the two descend to the known one, or are on the way to it."""
+    one = tool(0.5e-3)
+    heard = np.minimum(one.depth, 8e-3 - 0.98 * one.depth)
+    alike = dataclasses.replace(one, s=matrices(heard, FREQUENCY))
+    base = baseband_of(Rangefinder(), RADIUS, LENGTH, 20.0, MODES)
+    model = ForwardModel(Library((alike,)), base, None, Priors())
+    at = np.array([0.6, depth, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    samples = model.baseband((0,), *split(at[None]))[0][0]
+    whiten = weights(model, base.noise(1), 0.003, echo_of(model, (0,), at))
+    known = maximise(model, (0,), at[None], samples, whiten)
+    found = other_depths(model, known, (0,), samples, whiten)
+    near = np.abs(found.parameters[:, 1] - (8e-3 - depth) / 0.98) < 0.1e-3
+    assert near.any()
+    assert found.cost[near].min() < known.cost[0] + 1
+
+
+def test_several_sets_of_parameters_give_what_each_gives(model):
+    """Value and Jacobian of two presses with learned clutter, at three places and temperatures."""
+    at = np.tile([0.5, 4e-3, 0.9, 5e-3, 0.1, 0.02, -0.03, 1e-3, 0.01, 1e-3], (3, 1))
+    at[:, [0, 2]] += [[0.0, 0.1], [0.03, 0.0], [0.2, 0.4]]
+    at[:, 4] += [0.0, -0.3, 0.2]
+    together = model.baseband((0, 0), *split(at))
+    for i in range(3):
+        for one, other in zip(model.baseband((0, 0), *split(at[i : i + 1])), together, strict=True):
+            np.testing.assert_allclose(one[0], other[i], atol=1e-6 * np.abs(one).max())
+
+
 def test_starting_points_that_still_fall_have_the_known_maximum(model):
     """After one iteration from another depth; after many, the fit is that of the starting point."""
     whiten = weights(model, model.base.noise(1), 0.05, echo_of(model, (0,), PRESS))
@@ -194,6 +224,9 @@ def test_starting_points_that_still_fall_have_the_known_maximum(model):
     early = maximise(model, (0,), start, samples, whiten, 1)
     assert early.cost[0] > known.cost[0] + 1
     assert abs(early.parameters[0, 1] - start[0, 1]) > 0.1e-3
+    np.testing.assert_array_equal(
+        maximise(model, (0,), start, samples, whiten, 1, known, np.inf).cost, early.cost
+    )
     replaced = maximise(model, (0,), start, samples, whiten, 1, known)
     np.testing.assert_array_equal(replaced.parameters, known.parameters)
     assert replaced.cost == known.cost
@@ -311,8 +344,8 @@ def test_few_frequencies_give_the_baseband_repeated(rangefinder):
 def test_gain_of_a_candidate_is_the_decrease_of_the_cost(learned):
     """Of one press, and of one behind another, at a place and a depth of the templates.
 
-    Templates leave out sound later than 5 ms, multiple reflections, and the clutter that the press
-    attenuates: 3 % of the energy.
+    Templates leave out multiple reflections and the clutter that the press attenuates, and leave
+    out or alias sound later than 5 ms: 3 % of the energy.
     """
     model = model_of(Rangefinder(), learned=learned)
     templates, quiet = Templates(model, 0), np.zeros((1, 6))

@@ -15,19 +15,17 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ, MS
+from acoustube.inversion.band import CHIRP_BAND, half_width, is_compressed
 from acoustube.inversion.paths import Path, StraightPath
 from acoustube.inversion.quantiser import common_rounding, linearised
 from acoustube.inversion.tables import MOST_MODES
 from acoustube.inversion.wrap import Wrap, WrappedPath
 from acoustube.ranging import Rangefinder
-from acoustube.ranging.analogue import HALF_WIDTH, anti_alias, sent_spectrum
+from acoustube.ranging.analogue import anti_alias, sent_spectrum
 from acoustube.waves.modes import axial_wavenumber
 from acoustube.waves.modes.grid_modes import mode_numbers
 from acoustube.waves.scattering import Complex
 
-CHIRP_BAND = 0.6
-"""Half width of the frequency band that is inverted, relative to the bandwidth of the drive. It
-applies where this band is wider than that of :data:`acoustube.ranging.analogue.HALF_WIDTH`."""
 TAPER = 1 / 6
 """Fraction of the band over which each of its ends is tapered."""
 AFTER_CLIPPING, FADE, SETTLED = 0.1e-3, 0.2e-3, 0.3e-3
@@ -75,7 +73,7 @@ class Baseband:
     gain : ndarray
         Gain from reflection coefficient to recorded spectrum, in counts s, (n_f,).
     sent : ndarray
-        That gain without the transducer's resonance, (n_f,).
+        That gain without the transducer's resonance, in counts s, (n_f,).
 
     Raises
     ------
@@ -294,7 +292,8 @@ class Baseband:
         """Return the baseband in counts, (..., n_time), of spectra in counts s, (..., n_f).
 
         The spectra may be given at every m-th frequency only, if m divides n_f (:meth:`every`). The
-        samples are then those of the baseband repeated with n_f / m samples.
+        result is then the sum of the baseband and its copies shifted by multiples of n_f / m
+        samples (aliasing in time).
         """
         count = spectrum.shape[-1]
         scale = 2 * len(self.bins) * self.step * self.taper[:: len(self.bins) // count]
@@ -306,7 +305,7 @@ class Baseband:
     def every(self, duration: float) -> int:
         """Return the largest m such that every m-th frequency represents echoes of a duration in s.
 
-        Sound that an echo contains later is added to its start (:meth:`transformed`).
+        Later sound of an echo is aliased to its start (:meth:`transformed`).
         """
         most = int(len(self.bins) * self.interval / duration)
         return next((m for m in range(most, 1, -1) if len(self.bins) % m == 0), 1)
@@ -381,19 +380,6 @@ class Baseband:
         grid = np.asarray(np.arange(1, self.period // 2 + 1) * self.step, complex)
         sent = sent_spectrum(self.rangefinder, grid, self.rate, self.period, 0.0)[self.bins - 1]
         return np.asarray(sent * anti_alias(self.frequency, self.rate))
-
-
-def is_compressed(rangefinder: Rangefinder) -> bool:
-    """Return whether echoes are compressed: bandwidth times duration of the drive exceeds 1."""
-    drive = rangefinder.drive
-    return getattr(drive, "bandwidth", 0.0) * drive.duration > 1
-
-
-def half_width(rangefinder: Rangefinder) -> float:
-    """Return half the width in Hz of the band in which a rangefinder's cycles are inverted."""
-    drive = rangefinder.drive
-    carrier = getattr(drive, "frequency", rangefinder.resonance)
-    return max(HALF_WIDTH * carrier, CHIRP_BAND * getattr(drive, "bandwidth", 0.0))
 
 
 def _edges(n: int, width: int) -> Array:

@@ -25,7 +25,8 @@ from acoustube.waves.scattering import Complex
 CONVERGED = 0.02
 """Largest decrease of the cost of :class:`Fits` in one iteration at which a fit has converged."""
 UNFINISHED = 1.0
-"""Decrease of the cost in the last iteration above which a fit has not reached a maximum."""
+"""Decrease of the cost in the last successful iteration above which a fit that has used up its
+iterations has not reached a maximum."""
 DAMPING, RAISED, LOWERED = 1e-2, 6.0, 5.0
 """Initial Levenberg-Marquardt damping, its factor after a step that does not lower the cost, and
 its divisor otherwise."""
@@ -98,14 +99,15 @@ def maximise(
     whiten: Weights,
     iterations: int = 12,
     known: Fits | None = None,
+    unfinished: float = UNFINISHED,
 ) -> Fits:
     """Return a maximum of the likelihood next to each starting point, by Levenberg and Marquardt.
 
     The fits are in the order of the starting points. A starting point whose cost stays far above
     the least, or above that of a known maximum, or that comes to the known maximum, is given up:
     its last parameters are returned. One that comes within :data:`SAME_MAXIMUM` of a better one is
-    given the maximum of the better one. Where the cost still falls by more than
-    :data:`UNFINISHED` in the last iteration, the known maximum is returned unless it is worse.
+    given the maximum of the better one. Where a maximum is known, it is returned in place of a
+    worse one that has not been reached.
 
     Parameters
     ----------
@@ -121,6 +123,9 @@ def maximise(
         Largest number of iterations.
     known : Fits, optional
         Maxima that are known already, the best first; only the best counts.
+    unfinished : float
+        Decrease of the cost in the last successful iteration above which a maximum has not been
+        reached when the iterations are used up; infinite to return what has been reached.
     """
     at = bounded(model, tools, start)
     cost, gradient, information = _quadratic(model, tools, at, samples, whiten)
@@ -130,12 +135,12 @@ def maximise(
     for number in range(iterations):
         if known is not None:
             active &= cost < known.cost[0] + GIVEN_UP[min(number, len(GIVEN_UP) - 1)]
-            same = _alike(at, known.parameters[:1], known.information[:1])[:, 0]
+            same = alike(at, known.parameters[:1], known.information[:1])[:, 0]
             active &= ~(same & (cost >= known.cost[0]))
         elif number >= PATIENCE:
             active &= cost < cost.min() + FAR_WORSE / 2 ** (number - PATIENCE)
         if number:  # at first, starting points may be close by chance
-            _follow(leader, _alike(at, at, information), cost)
+            _follow(leader, alike(at, at, information), cost)
             active &= leader == np.arange(len(at))
         i = np.flatnonzero(active)
         if not len(i):
@@ -153,18 +158,18 @@ def maximise(
         j = i[better]
         at[j], cost[j] = tried[better], new[0][better]
         gradient[j], information[j] = new[1][better], new[2][better]
-        fallen[i] = np.where(better, gain, 0.0)
+        fallen[j] = gain[better]
         active[i] = (gain > CONVERGED) & (damping[i] < 1e5)
     if known is not None:
-        lost = active & (fallen > UNFINISHED) & (cost > known.cost[0])
-        at[lost], cost[lost] = known.parameters[0], known.cost[0]
-        information[lost] = known.information[0]
+        short = active & (fallen > unfinished) & (cost > known.cost[0])
+        at[short], cost[short] = known.parameters[0], known.cost[0]
+        information[short] = known.information[0]
     while np.any(leader[leader] != leader):  # a leader may follow another
         leader = leader[leader]
     return Fits(at[leader], cost[leader], information[leader])
 
 
-def _alike(one: Array, other: Array, information: Array) -> NDArray[np.bool_]:
+def alike(one: Array, other: Array, information: Array) -> NDArray[np.bool_]:
     """Return whether parameters (n, p) and others (m, p) belong to one maximum, (n, m).
 
     `information` is half the Hessian of the cost at the others, (m, p, p).
@@ -252,7 +257,7 @@ def distinct(fits: Fits, n_presses: int) -> Fits:
     fits = fits.sorted()
     at, own = fits.parameters, fits.parameters[:, : 2 * n_presses]
     close = np.abs(own[:, None] - own) < np.tile(DISTINCT, n_presses)
-    same = close.all(axis=2) | _alike(at, at, fits.information)
+    same = close.all(axis=2) | alike(at, at, fits.information)
     kept: list[int] = []
     for i in range(len(at)):
         if not same[i, kept].any():

@@ -24,7 +24,8 @@ from acoustube.base.checks import checked
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ
-from acoustube.inversion.baseband import TAPER, Baseband, is_compressed
+from acoustube.inversion.band import is_compressed
+from acoustube.inversion.baseband import TAPER, Baseband
 from acoustube.inversion.wrap import Wrap
 from acoustube.ranging import Rangefinder
 from acoustube.ranging.analogue import HALF_WIDTH, oversampling, sent_spectrum

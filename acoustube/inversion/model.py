@@ -224,7 +224,8 @@ class ForwardModel:
         from acoustube.inversion.recorded_sums import add_clutter, recorded  # imports Numba
 
         (n, m), base = places.shape, self.base
-        temperature = nuisances[:, 0]
+        nuisances = np.ascontiguousarray(nuisances)  # views would be compiled for anew
+        temperature = nuisances[:, 0].copy()
         warming = self.stretch_by_temperature
         stretch = self.stretch + warming * temperature + nuisances[:, 5]
         found, matrices = self._echo(tools, places, depths, temperature, stretch)
@@ -256,7 +257,7 @@ class ForwardModel:
             Derivative in counts, (n, n_time). Since scattering is analytic in frequency, it is the
             derivative by `stretch` with the spectrum multiplied by the imaginary unit.
         """
-        temperature = nuisances[:, 0]
+        temperature = nuisances[:, 0].copy()
         stretch = self.stretch + self.stretch_by_temperature * temperature + nuisances[:, 5]
         found, _ = self._echo(tools, places, depths, temperature, stretch)
         factor = self.base.press_gain(nuisances[:, 3:5])

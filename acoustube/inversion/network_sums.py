@@ -25,15 +25,22 @@ from acoustube.inversion.small_matrices import (
     plus,
     product,
     scaled,
+    times,
     unit_less,
 )
 from acoustube.waves.scattering import Complex
 
 
 @compiled
-def _propagation(length: float, wavenumber: complex) -> complex:
+def _warmed(k: Complex, heat: Complex, warmer: float) -> Vector:
+    """Return wavenumbers (3,) in 1/m, with derivatives (3,) by temperature, `warmer` K warmer."""
+    return k[0] + warmer * heat[0], k[1] + warmer * heat[1], k[2] + warmer * heat[2]
+
+
+@compiled
+def _propagation(length: float, k: complex) -> complex:
     """Return exp(-j k L) for a wavenumber k in 1/m and a length L in m."""
-    size, angle = np.exp(length * wavenumber.imag), length * wavenumber.real
+    size, angle = np.exp(length * k.imag), length * k.real
     return complex(size * np.cos(angle), -size * np.sin(angle))
 
 
@@ -89,10 +96,9 @@ def echoes(
     load, loop = np.empty((2, p, 9), np.complex128)
     path = np.empty((p, 3), np.complex128)
     for a in range(n):
-        warmer = temperature[a] + 0j, temperature[a] + 0j, temperature[a] + 0j
         for f in range(n_f):
             warm = heat[f, 0], heat[f, 1], heat[f, 2]
-            wave = plus((k[f, 0], k[f, 1], k[f, 2]), each(warm, warmer))
+            wave = _warmed(k[f], heat[f], temperature[a])
             for i in range(p):
                 for c in range(3):
                     path[i, c] = _propagation(lengths[a, i], wave[c])
@@ -111,11 +117,7 @@ def echoes(
                 way = path[i, 0], path[i, 1], path[i, 2]
                 keep(scaled(way, found, way), load[i])
             seen = kept(load[0])
-            sent_back = (
-                face * seen[0], face * seen[1], face * seen[2], face * seen[3], face * seen[4],
-                face * seen[5], face * seen[6], face * seen[7], face * seen[8],
-            )  # fmt: skip
-            inner = inverse(unit_less(sent_back))
+            inner = inverse(unit_less(times(face, seen)))
             left, right = (inner[0], inner[1], inner[2]), (inner[0], inner[3], inner[6])
             value[a, f] = dot(left, (seen[0], seen[3], seen[6]))
             # From the face on: the row vector `left` of the waves that reach the face from a plane,

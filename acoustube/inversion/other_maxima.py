@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from acoustube.base.types import Array
-from acoustube.inversion.fit import Fits, distinct, maximise
+from acoustube.inversion.fit import Fits, alike, distinct, maximise
 from acoustube.inversion.model import ForwardModel
 from acoustube.inversion.whitening import Weights
 from acoustube.waves.scattering import Complex
@@ -18,10 +18,11 @@ STEP = 0.4e-3
 """Step in m between the depths that are tried."""
 ITERATIONS, TRIED = 8, 2
 """Iterations from each starting point, fewer if :func:`acoustube.inversion.fit.maximise` gives it
-up; and iterations after which a depth is given up whose cost exceeds that of a neighbouring one."""
+up; and those of them after which a depth is given up whose cost exceeds that of a neighbouring one.
+"""
 JOINT = -3, -2, -1, 1, 2, 3
-"""Shifts in half wavelengths by which other maxima are sought: of all presses together, and of a
-press at another depth."""
+"""Shifts in half wavelengths by which other maxima are sought: of all presses together, and of each
+press in turn where one has another depth."""
 UNLIKELY, FARTHER = 8.0, 4
 """Excess of the cost (minus twice the log likelihood) over the least, below which a maximum is
 likely, and number of half wavelengths tried beyond a likely maximum far from the best."""
@@ -33,8 +34,9 @@ def other_depths(model: ForwardModel, known: Fits, tools: tuple[int, ...], sampl
 
     The depths tried are more than :data:`STEP` from that of the best fit; if the tool has no such
     depth, they are the ends of its range. All other parameters start at those of the best fit.
-    After :data:`TRIED` iterations only those are followed whose cost is below that of both
-    neighbouring depths: the others descend to the same maxima.
+    After :data:`TRIED` iterations those are followed whose cost is at most that of both
+    neighbouring depths; the others descend to the same maxima. Depths that have come to the best
+    fit do not count as neighbours.
 
     Parameters
     ----------
@@ -52,14 +54,19 @@ def other_depths(model: ForwardModel, known: Fits, tools: tuple[int, ...], sampl
         low, high = model.tables[tool].range
         depths = np.linspace(low, high, 2 + int((high - low) / STEP))
         far = np.abs(depths - known.parameters[0, 2 * i + 1]) > STEP
-        depths = depths[far] if far.any() else np.array([low, high])
-        start = np.repeat(known.parameters[:1], len(depths), axis=0)
-        start[:, 2 * i + 1] = depths
-        tried = maximise(model, tools, start, samples, whiten, TRIED, known)
-        cost = np.pad(tried.cost, 1, constant_values=np.inf)
-        lower = (tried.cost <= cost[:-2]) & (tried.cost <= cost[2:])
-        starts.append(np.unique(tried.parameters[lower], axis=0))
+        if not far.any():
+            depths, far = np.array([low, high]), np.ones(2, bool)
+        start = np.repeat(known.parameters[:1], far.sum(), axis=0)
+        start[:, 2 * i + 1] = depths[far]
+        tried = maximise(model, tools, start, samples, whiten, TRIED, known, unfinished=np.inf)
+        arrived = alike(tried.parameters, known.parameters[:1], known.information[:1])[:, 0]
+        cost = np.full(len(depths) + 2, np.inf)  # also at the depths near that of the best fit
+        cost[1:-1][far] = np.where(arrived, np.inf, tried.cost)
+        lower = ((cost[1:-1] <= cost[:-2]) & (cost[1:-1] <= cost[2:]))[far]
+        starts.append(np.unique(tried.parameters[lower & ~arrived], axis=0))
     followed = np.concatenate(starts)
+    if not len(followed):
+        return known.first(1)
     return maximise(model, tools, followed, samples, whiten, ITERATIONS - TRIED, known)
 
 
@@ -85,7 +92,8 @@ def farther(model: ForwardModel, fits: Fits, tools: tuple[int, ...], samples: Co
             whiten: Weights) -> Fits:  # fmt: skip
     """Return fits, and maxima beyond likely ones more than 2.5 half wavelengths from the best.
 
-    The parameters are those of :func:`other_depths`; `fits` are all maxima found.
+    `fits` are all maxima found, the best first; for the other parameters see
+    :func:`other_depths`.
     """
     likely, half = fits.cost < fits.cost[0] + UNLIKELY, model.base.half_wavelength
     m, starts = len(tools), list[Array]()

@@ -122,7 +122,7 @@ class Path(Protocol):
         Returns
         -------
         ndarray
-            Factors exp(-j phase) in single precision, (n, m, n_f).
+            Factors exp(-j phase) in single precision, (n, modes, n_f).
         """
 
     def plane(self, places: Array) -> tuple[Complex, Complex]:

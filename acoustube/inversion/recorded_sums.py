@@ -36,8 +36,8 @@ def recorded(
     frequency : ndarray
         In Hz, (n_f,).
     sent : ndarray
-        Spectrum that would be recorded of the send pulse without the transducer's resonance, in
-        counts s, (n_f,).
+        Gain from reflection coefficient to recorded spectrum, without the transducer's resonance,
+        in counts s, (n_f,).
     resonator : (float, float)
         Nominal resonance of the transducer in Hz, and its quality factor.
     warming : float
@@ -107,21 +107,21 @@ def add_clutter(
     for a in range(n):
         for f in range(n_f):
             total, warm = beyond[0, a, 0, f], beyond[2, a, 0, f]
-            stretched, dimmed = 0j, 1 + 0j
+            stretched, transmitted = 0j, 1 + 0j
             for i in range(p):
                 # The sum is C(0) + sum_i (t_1 ... t_i - t_1 ... t_i-1) C(z_i).
-                share = dimmed * (passed[i, 0, a, f] - 1)
+                share = transmitted * (passed[i, 0, a, f] - 1)
                 total += share * beyond[0, a, i + 1, f]
                 warm += share * beyond[2, a, i + 1, f]
                 slopes[a, 2 * i, f] += gain[f] * share * beyond[1, a, i + 1, f]
                 # What arrives through press i is proportional to t_i.
-                onwards, product = dimmed * beyond[0, a, i + 1, f], dimmed
+                onwards, product = transmitted * beyond[0, a, i + 1, f], transmitted
                 for j in range(i + 1, p):
                     onwards += product * (passed[j, 0, a, f] - 1) * beyond[0, a, j + 1, f]
                     product = product * passed[j, 0, a, f]
                 slopes[a, 2 * i + 1, f] += gain[f] * passed[i, 1, a, f] * onwards
                 stretched += passed[i, 2, a, f] * onwards
-                dimmed = dimmed * passed[i, 0, a, f]
+                transmitted = transmitted * passed[i, 0, a, f]
             found[a, f] += gain[f] * total
             slopes[a, 2 * p, f] += gain[f] * (warm + warming * stretched)
             slopes[a, 2 * p + 5, f] += gain[f] * stretched

@@ -40,7 +40,8 @@ BEFORE, LASTING = 1e-3, 5e-3
 """Times in s before the arrival of a template, and after the end of the drive in it, between which
 its energy is computed. Within `LASTING`, the power of sound that is trapped under a press decays by
 a factor of 1000. Modes near their cut-on arrive later, with up to 6 % of the energy 0.6 m behind
-a press."""
+a press. The spectra are computed at so few frequencies (:meth:`.Baseband.every`) that later sound
+may be aliased to the start of an echo."""
 FAINTEST = 1e-9
 """Floor of the energies of templates at a place, relative to the highest of them, below which they
 are rounding errors."""
@@ -223,8 +224,8 @@ class _Zone:
     Parameters
     ----------
     parts : list of (ndarray, int, int)
-        Spectra at the origin for all depths, (n_depths, n_f), and the indices of the modes in which
-        they travel to the press and back.
+        Spectra at the origin for all depths in single precision, (n_depths, n_f), and the indices
+        of the modes in which they travel to the press and back.
     path : Path
     front : Front
         Waves at the origin: the last press before this part of the tube, or the face.
@@ -297,7 +298,10 @@ class _Zone:
         return np.asarray((self._filters @ factors.reshape(len(places), -1).T).conj())
 
     def _modes(self, places: Array) -> Complex:
-        """Return the modes' factors from the origin to evenly spaced places, (n_places, m, n_f)."""
+        """Return the modes' factors from the origin to evenly spaced places.
+
+        Their shape is (n_places, n_modes, n_f).
+        """
         return self.path.propagated(self.origin, places, self.warmer, self.n_modes)
 
 

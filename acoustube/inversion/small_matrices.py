@@ -132,6 +132,15 @@ def dot(v: Vector, w: Vector) -> complex:
 
 
 @compiled
+def times(factor: complex, m: Matrix) -> Matrix:
+    """Return a matrix multiplied by a factor."""
+    return (
+        factor * m[0], factor * m[1], factor * m[2], factor * m[3], factor * m[4],
+        factor * m[5], factor * m[6], factor * m[7], factor * m[8],
+    )  # fmt: skip
+
+
+@compiled
 def each(v: Vector, w: Vector) -> Vector:
     """Return the product of two vectors, component by component."""
     return v[0] * w[0], v[1] * w[1], v[2] * w[2]

@@ -165,7 +165,8 @@ class RankOneWeights(Weights):
         from acoustube.inversion.sample_sums import energies  # imports Numba
 
         shape = np.zeros(len(self.scale), complex) if self.shape is None else self.shape
-        return np.asarray(energies(samples, *ranges.T, self.scale, shape, self._absorbed))
+        rows, limits = np.ascontiguousarray(samples), np.ascontiguousarray(ranges.T)
+        return np.asarray(energies(rows, *limits, self.scale, shape, self._absorbed))
 
     @property
     def sample_precision(self) -> Array:

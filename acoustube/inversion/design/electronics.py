@@ -12,7 +12,7 @@ from jax.scipy.special import fresnel
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.base.units import KHZ
-from acoustube.inversion.baseband import CHIRP_BAND, half_width
+from acoustube.inversion.band import CHIRP_BAND, half_width
 from acoustube.inversion.quantiser import common_rounding
 from acoustube.ranging import Burst, Chirp, Rangefinder
 from acoustube.ranging.analogue import HALF_WIDTH
