@@ -5,6 +5,8 @@ are computed one by one with the rangefinder's model, with the library's scatter
 depth. The results include errors of search, filter and noise, not of the scattering. With
 ``--board`` the cycles are those of EchoTube's board: 80 kHz, unfiltered, 8 bits. With ``--sleeve``
 the tube is wrapped around a forearm as in the sleeve paper; its bends take 1 to 2 s per cycle.
+Times from cold are those of trackers that begin in the middle of the stream, with the forward model
+at hand.
 
 Usage: python benchmarks/inversion_tracking.py FOLDER --seconds 60
 """
@@ -34,6 +36,9 @@ UNTOUCHED = 100
 """Number of cycles from which the clutter is learned."""
 SETTLED = 0.5
 """Time in s after a landing from which errors are printed separately."""
+BETWEEN, DEEP, FIRST = 24, 1.5e-3, 3
+"""Cycles between trackers that begin in the middle of the stream, least depth in m of all contacts
+there, and number of the first cycles of each that are timed."""
 
 
 def finger(t, start, hold, pause, place, slide, depth):
@@ -90,21 +95,33 @@ class Tube:
 
 
 def followed(tube, library, seconds):
-    """Return times of cycles, rows (deepest, time since landing, errors, coverage) and ghosts."""
+    """Return times of cycles, rows (depth, time since landing, errors, coverage), ghosts, starts.
+
+    A start is the number of contacts at the start of a tracker in the middle of the stream, the
+    times of its first cycles, and the number of contacts that it reports after each.
+    """
     tool = library.tools[0]
     base = baseband_of(
         tube.own, library.radius, tube.length, 20.0, library.modes, tube.own.n_samples,
         None if tube.sleeve is None else wrap_of(tube.sleeve),
     )  # fmt: skip
     free = np.array([tube.cycle([], i) for i in range(UNTOUCHED)])
-    tracker = ContactTracker(ForwardModel(library, base, measured_clutter(base, free)))
-    times, rows, ghosts = [], [], 0
+    model = ForwardModel(library, base, measured_clutter(base, free))
+    tracker = ContactTracker(model)
+    times, rows, ghosts, starts, late = [], [], 0, [], []
     for i in range(round(seconds * RATE)):
         pressed = hands(i / RATE, tool.depth[0])
         counts = tube.cycle(pressed, UNTOUCHED + i)
-        start = time.process_time()
-        left = list(tracker.update(counts).contacts)
-        times.append(time.process_time() - start)
+        if i % BETWEEN == BETWEEN - 1 and all(depth >= DEEP for _, depth, _ in pressed):
+            late.append(ContactTracker(model))
+            starts.append((len(pressed), [], []))
+        late = late if not starts or len(starts[-1][1]) < FIRST else []
+        for one in late:
+            spent, reported = timed(one, counts)
+            starts[-1][1].append(1e3 * spent)
+            starts[-1][2].append(len(reported))
+        spent, left = timed(tracker, counts)
+        times.append(spent)
         for place, depth, since in pressed:
             near = [one for one in left if abs(one.distance.value - place) < NEAR]
             if not near:
@@ -121,7 +138,30 @@ def followed(tube, library, seconds):
             ]
             rows.append((depth, since, one.distance.value - place, one.depth.value - depth, *held))
         ghosts += len(left)
-    return 1e3 * np.array(times), np.array(rows, float), ghosts
+    return 1e3 * np.array(times), np.array(rows, float), ghosts, starts
+
+
+def timed(tracker, counts):
+    """Return the processor time in s of a tracker for a cycle, and a list of its contacts."""
+    start = time.process_time()
+    found = tracker.update(counts)
+    return time.process_time() - start, list(found.contacts)
+
+
+def print_starts(starts):
+    """Print the times of the first cycles of trackers, by the number of contacts at their start."""
+    for n in sorted({one[0] for one in starts}):
+        here = [one for one in starts if one[0] == n and len(one[1]) == FIRST]
+        if not here:
+            continue
+        spent, reported = (np.array([one[i] for one in here]) for i in (1, 2))
+        median, most = np.median(spent, axis=0), spent.max(axis=0)
+        found = (np.maximum.accumulate(reported == n, axis=1)).sum(axis=0)
+        print(
+            f"from cold, {n} contacts, {len(here)} trackers: first cycles "
+            + ", ".join(f"{a:.0f} (at most {b:.0f})" for a, b in zip(median, most, strict=True))
+            + f" ms; all contacts after them in {', '.join(map(str, found))}"
+        )
 
 
 def print_errors(rows):
@@ -153,12 +193,13 @@ def main():
     library = open_library(given.folder)
     sleeve = design(*FOREARM, loops=9, n_tubes=2)[0] if given.sleeve else None
     tube = Tube(library.tools[0], given.board, sleeve)
-    times, rows, ghosts = followed(tube, library, given.seconds)
+    times, rows, ghosts, starts = followed(tube, library, given.seconds)
     q = np.quantile(times, [0.5, 0.95, 1])
     print(f"{len(times)} cycles; {q[0]:.1f} ms of processor time, 95 % {q[1]:.1f}, most {q[2]:.0f}")
     print(f"resident memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3:.0f} MB")
     print(f"contacts that are none: {ghosts} in {len(times)} cycles")
     print_errors(rows)
+    print_starts(starts)
 
 
 if __name__ == "__main__":
