@@ -60,6 +60,7 @@ def other_depths(model: ForwardModel, known: Fits, tools: tuple[int, ...], sampl
         start[:, 2 * i + 1] = depths[far]
         tried = maximise(model, tools, start, samples, whiten, TRIED, known, unfinished=np.inf)
         arrived = alike(tried.parameters, known.parameters[:1], known.information[:1])[:, 0]
+        arrived &= tried.cost >= known.cost[0]
         cost = np.full(len(depths) + 2, np.inf)  # also at the depths near that of the best fit
         cost[1:-1][far] = np.where(arrived, np.inf, tried.cost)
         lower = ((cost[1:-1] <= cost[:-2]) & (cost[1:-1] <= cost[2:]))[far]
