@@ -20,6 +20,7 @@ from acoustube.inversion import (
     doubt,
     estimate,
     measured_clutter,
+    other_maxima,
 )
 from acoustube.inversion.clutter import Reflectors
 from acoustube.inversion.doubt import doubted
@@ -188,7 +189,11 @@ def test_starting_points_that_meet_have_one_maximum(model):
 
 @pytest.mark.parametrize("depth", [2.8e-3, 3.5e-3, 3.6e-3])
 def test_other_depth_of_nearly_the_same_echo_is_found(depth):
-    """Also where the depths between the two descend to the known one, or are on the way to it."""
+    """Also where depths tried between the two descend to the known one within two iterations.
+
+    The echo of the other depth is the same but for interpolation: its place in depth is exact to a
+    tenth of the step of the library, and its cost to 1, the change that counts as converged.
+    """
     one = tool(0.5e-3)
     heard = np.minimum(one.depth, 8e-3 - 0.98 * one.depth)
     alike = dataclasses.replace(one, s=matrices(heard, FREQUENCY))
@@ -204,6 +209,50 @@ def test_other_depth_of_nearly_the_same_echo_is_found(depth):
     assert found.cost[near].min() < known.cost[0] + 1
 
 
+@pytest.mark.parametrize(("presses", "judged"), [(1, 1), (2, 3)])
+def test_further_fits_are_judged_only_if_the_first_has_an_error(
+    model, monkeypatch, presses, judged
+):
+    """Three fits of one press, which explains all samples or lacks a second press."""
+    places, depths = np.array([[0.6, 1.0]]), np.array([[4e-3, 5e-3]])
+    samples = model.baseband(
+        (0,) * presses, places[:, :presses], depths[:, :presses], np.zeros((1, 6))
+    )[0][0]
+    builder = Builder(model, [], samples, model.base.noise(20))
+    start = np.repeat(PRESS[None], 3, axis=0)
+    start[:, 0] += [0.0, 1e-4, -1e-4]
+    alone, calls = Builder._alone, []
+    monkeypatch.setattr(Builder, "_alone", lambda *words: calls.append(1) or alone(*words))
+    found = builder._fitted((0,), Fits(start, np.zeros(3), np.tile(np.eye(8), (3, 1, 1))))
+    assert len(calls) == judged
+    assert found.best[0] == pytest.approx(0.6, abs=5e-3)
+
+
+def test_half_wavelengths_are_tried_about_other_depths_one_press_at_a_time(model, monkeypatch):
+    at = np.array([0.6, 4e-3, 1.0, 5e-3, 0, 0, 0, 0, 0, 0])
+    known = Fits(at[None], np.zeros(1), np.eye(10)[None])
+    other, unlikely = at.copy(), at.copy()
+    other[3] -= 1e-3
+    unlikely[1] += 1e-3
+    sharp = np.tile(1e12 * np.eye(10), (2, 1, 1))
+    others = Fits(np.array([other, unlikely]), np.array([1.0, 9.0]), sharp)
+    tried = []
+
+    def maximise(*words):
+        start = words[2]
+        tried.append(start)
+        return Fits(start, np.zeros(len(start)), np.zeros((len(start), 10, 10)))
+
+    monkeypatch.setattr(other_maxima, "maximise", maximise)
+    found = other_maxima.beside(model, known, (0, 0), others, np.zeros(1), None)
+    off = (tried[0] - other) / model.base.half_wavelength
+    shifts = [-3, -2, -1, 1, 2, 3]
+    assert off[:6, 0] == pytest.approx(shifts)
+    assert off[6:, 2] == pytest.approx(shifts)
+    assert np.count_nonzero(np.abs(off) > 1e-9) == 12
+    assert len(found.cost) == 2 + 12
+
+
 def test_several_sets_of_parameters_give_what_each_gives(model):
     """Value and Jacobian of two presses with learned clutter, at three places and temperatures."""
     at = np.tile([0.5, 4e-3, 0.9, 5e-3, 0.1, 0.02, -0.03, 1e-3, 0.01, 1e-3], (3, 1))
@@ -216,7 +265,7 @@ def test_several_sets_of_parameters_give_what_each_gives(model):
 
 
 def test_starting_points_that_still_fall_have_the_known_maximum(model):
-    """After one iteration from another depth; after many, the fit is that of the starting point."""
+    """After one iteration from another depth, unless they are better than the known one."""
     whiten = weights(model, model.base.noise(1), 0.05, echo_of(model, (0,), PRESS))
     samples = model.baseband((0,), *split(PRESS[None]))[0][0]
     known = maximise(model, (0,), PRESS[None], samples, whiten)
@@ -330,7 +379,7 @@ def test_few_frequencies_give_the_baseband_repeated(rangefinder):
     rng = np.random.default_rng(5)
     spectrum = rng.normal(size=n) + 1j * rng.normal(size=n)
     every = base.every(0.3 * n * base.interval)
-    assert every == max(m for m in (1, 2, 3) if n % m == 0)
+    assert every == 3
     whole = np.fft.ifft(2 * n * base.step * base.taper * spectrum)
     repeated = np.tile(whole.reshape(every, -1).sum(axis=0), every)[base.used]
     if base.freedom < 1:

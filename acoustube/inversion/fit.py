@@ -106,8 +106,8 @@ def maximise(
     The fits are in the order of the starting points. A starting point whose cost stays far above
     the least, or above that of a known maximum, or that comes to the known maximum, is given up:
     its last parameters are returned. One that comes within :data:`SAME_MAXIMUM` of a better one is
-    given the maximum of the better one. Where a maximum is known, it is returned in place of a
-    worse one that has not been reached.
+    given the maximum of the better one. A fit that has used up its iterations while its cost still
+    falls is replaced by the known maximum, if that is better.
 
     Parameters
     ----------

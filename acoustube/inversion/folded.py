@@ -78,7 +78,7 @@ class FoldedBaseband(Baseband):
         Parameters
         ----------
         spectrum : ndarray
-            Spectra in counts s, (..., n_f).
+            Spectra in counts s, (..., n_f), or at every m-th frequency (:meth:`.Baseband.every`).
         """
         samples = super().transformed(spectrum)
         samples = samples * self._signs.astype(samples.real.dtype)

@@ -43,8 +43,8 @@ JUDGED = 4
 OUTLIER = 9.0
 """Cap on the squared whitened residual in the robust choice of the initial temperature."""
 KEPT = 3
-"""Number of candidates whose model error is estimated, for each tool of a further press and each
-index of this press along the tube."""
+"""Largest number of candidates whose model error is estimated, for each tool of a further press and
+each index of this press along the tube."""
 SEARCHED = 0.02
 """Largest relative model error that is assumed in the search for presses."""
 STARTS = 2, 10
@@ -57,10 +57,9 @@ to the best maximum was among the first eight of an earlier search with fewer ca
 FOLLOWED = 2
 """Number of combinations of tool and order along the tube whose model error is estimated."""
 EXACT, NOISE_ALONE = 0.01, 1.5
-"""The best of several fits is taken, and their evidence is not compared, if the most likely error
-of the model is at most `EXACT`, without one that is equal at all times, or if the mean square of
-its residual, whitened without an error of the model, is at most `NOISE_ALONE`. With noise alone it
-is 1 on average; in single cycles, whose noise is not measured, up to 1.46."""
+"""The best of several fits is taken without comparing their evidence if the most likely error of the
+model is at most `EXACT`, without one equal at all times, or the mean square of its residual,
+whitened without such errors, at most `NOISE_ALONE`: it was up to 1.46 in sixty single cycles."""
 LOUD = 5.0
 """Smoothed level of the whitened samples, relative to the noise, at which an echo begins."""
 HOPELESS = 10.0
@@ -274,7 +273,10 @@ class Builder:
         return self._fitted(known.tools, known.fits)
 
     def _fitted(self, tools: tuple[int, ...], fits: Fits) -> Hypothesis:
-        """Return the hypothesis of the most likely fit, with an estimated model error."""
+        """Return the hypothesis of the most likely fit, with an estimated model error.
+
+        Fits after the first are left out if the first has hardly any error of the model.
+        """
         tried = list[Hypothesis]()
         for at in fits.parameters:
             tried.append(self._alone(tools, at[None]))

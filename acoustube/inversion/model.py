@@ -257,7 +257,7 @@ class ForwardModel:
             Derivative in counts, (n, n_time). Since scattering is analytic in frequency, it is the
             derivative by `stretch` with the spectrum multiplied by the imaginary unit.
         """
-        temperature = nuisances[:, 0].copy()
+        temperature = nuisances[:, 0].copy()  # a view would be compiled for anew
         stretch = self.stretch + self.stretch_by_temperature * temperature + nuisances[:, 5]
         found, _ = self._echo(tools, places, depths, temperature, stretch)
         factor = self.base.press_gain(nuisances[:, 3:5])

@@ -33,7 +33,10 @@ from acoustube.waves.scattering import Complex
 
 @compiled
 def _warmed(k: Complex, heat: Complex, warmer: float) -> Vector:
-    """Return wavenumbers (3,) in 1/m, with derivatives (3,) by temperature, `warmer` K warmer."""
+    """Return wavenumbers (3,) in 1/m at a temperature `warmer` K above the nominal one.
+
+    `k` are those at the nominal temperature, and `heat` their derivatives by temperature.
+    """
     return k[0] + warmer * heat[0], k[1] + warmer * heat[1], k[2] + warmer * heat[2]
 
 

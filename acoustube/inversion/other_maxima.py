@@ -36,7 +36,7 @@ def other_depths(model: ForwardModel, known: Fits, tools: tuple[int, ...], sampl
     depth, they are the ends of its range. All other parameters start at those of the best fit.
     After :data:`TRIED` iterations those are followed whose cost is at most that of both
     neighbouring depths; the others descend to the same maxima. Depths that have come to the best
-    fit do not count as neighbours.
+    fit, and are no better, do not count as neighbours; if all have, the best fit is returned.
 
     Parameters
     ----------

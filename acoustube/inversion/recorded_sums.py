@@ -48,7 +48,7 @@ def recorded(
     ndarray
         Spectra in counts s, (n, n_f).
     ndarray
-        Their derivatives, (n, 2 n_presses + 6, n_f).
+        Their derivatives in single precision, (n, 2 n_presses + 6, n_f).
     """
     n, p, n_f = by_place.shape
     found = np.empty((n, n_f), np.complex128)

@@ -10,7 +10,7 @@ import numpy as np
 
 from acoustube.base.types import Array
 from acoustube.base.units import CM, KHZ, MM, PERCENT
-from acoustube.inversion.baseband import CHIRP_BAND
+from acoustube.inversion.band import CHIRP_BAND
 from acoustube.inversion.design import Prediction
 from acoustube.ranging import LOUDSPEAKER, Burst, Chirp, Rangefinder, audible_level
 from acoustube.runs.config.goal import LEAST_RATE, DesignGoal

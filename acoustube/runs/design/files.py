@@ -11,7 +11,7 @@ from typing import Any
 import tomlkit
 
 from acoustube.base.units import CM, KHZ
-from acoustube.inversion.baseband import CHIRP_BAND
+from acoustube.inversion.band import CHIRP_BAND
 from acoustube.ranging import Burst, Chirp
 from acoustube.runs.config import configured, to_toml
 from acoustube.runs.config.checks import (
