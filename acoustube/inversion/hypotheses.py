@@ -57,8 +57,8 @@ to the best maximum was among the first eight of an earlier search with fewer ca
 FOLLOWED = 2
 """Number of combinations of tool and order along the tube whose model error is estimated."""
 EXACT, NOISE_ALONE = 0.01, 1.5
-"""The best of several fits is taken without comparing their evidence if the most likely error of the
-model is at most `EXACT`, without one equal at all times, or the mean square of its residual,
+"""The best of several fits is taken without comparing their evidence if the most likely error of
+the model is at most `EXACT`, without one equal at all times, or the mean square of its residual,
 whitened without such errors, at most `NOISE_ALONE`: it was up to 1.46 in sixty single cycles."""
 LOUD = 5.0
 """Smoothed level of the whitened samples, relative to the noise, at which an echo begins."""
