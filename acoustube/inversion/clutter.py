@@ -56,7 +56,7 @@ class Clutter:
     variance: float = 0.0
     shapes: Complex | None = None
 
-    def beyond(self, place: Array, temperature: Array) -> tuple[Complex, Complex, Complex]:
+    def beyond(self, place: Array, temperature: Array) -> Complex:
         """Return the reflection of the tube beyond positions, and its derivatives.
 
         `behind` must not be None. Beyond the table, the values at its edge are returned; beyond
@@ -71,8 +71,8 @@ class Clutter:
 
         Returns
         -------
-        value, by_place, by_temperature : ndarray
-            Reflection coefficient and its derivatives per m and per K, (n, n_f).
+        ndarray
+            Reflection coefficient and its derivatives per m and per K, (3, n, n_f).
         """
         assert self.behind is not None
         from acoustube.inversion.spline_sums import between  # needs Numba: imported when called
@@ -81,9 +81,9 @@ class Clutter:
         columns = np.clip(place / CELL, 0, n_z - 1.000001)
         rows = np.clip((temperature + WARM) / WARM_STEP, 0, n_t - 1.000001)
         slopes = self.warmer_by_row
-        value, by_place, warm = between(self.behind, slopes, rows, columns, WARM_STEP, CELL)
-        warm[np.abs(temperature) > WARM] = 0.0
-        return value, by_place, warm
+        found = between(self.behind, slopes, rows, columns, WARM_STEP, CELL)
+        found[2, np.abs(temperature) > WARM] = 0.0
+        return np.asarray(found)
 
     @cached_property
     def covariance(self) -> Complex:

@@ -277,12 +277,11 @@ class Builder:
 
         Fits after the first are left out if the first has hardly any error of the model.
         """
-        tried = list[Hypothesis]()
-        for at in fits.parameters:
-            tried.append(self._alone(tools, at[None]))
-            if len(tried) == 1 and self._exact(tried[0]):
-                break
-        return min(tried, key=lambda one: one.deviance)
+        first = self._alone(tools, fits.parameters[:1])
+        if len(fits.cost) == 1 or self._exact(first):
+            return first
+        others = [self._alone(tools, at[None]) for at in fits.parameters[1:]]
+        return min(first, *others, key=lambda one: one.deviance)
 
     def _exact(self, known: Hypothesis) -> bool:
         """Return whether the residual of a hypothesis has hardly any error of the model."""
@@ -316,12 +315,12 @@ class Builder:
             afresh = np.concatenate([known.best[None], joint])
             afresh[:, 2 * m :] = self.start
             start = np.concatenate([start, joint, afresh])
-        wrong = m > 1 and known.error > POOR
+        poor = m > 1 and known.error > POOR
         fits = maximise(
             self.model, known.tools, start, self.samples, known.whiten, 8, known.fits,
-            unfinished=np.inf if wrong else UNFINISHED,
+            unfinished=np.inf if poor else UNFINISHED,
         )  # fmt: skip
-        if wrong:
+        if poor:
             # The model error that is most likely at a wrong place hides the right one.
             n = m * len(moves)
             together = distinct(Fits(fits.parameters[n:], fits.cost[n:], fits.information[n:]), m)

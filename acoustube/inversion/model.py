@@ -234,7 +234,7 @@ class ForwardModel:
         if self.clutter.behind is not None:
             passed = np.array([one.transmission() for one in matrices])
             at = np.concatenate([np.zeros((n, 1)), places], axis=1).ravel()
-            beyond = np.array(self.clutter.beyond(at, np.repeat(temperature, m + 1)))
+            beyond = self.clutter.beyond(at, np.repeat(temperature, m + 1))
             beyond = beyond.reshape(3, n, m + 1, -1)
             add_clutter(value, slopes, beyond, passed, base.gain, warming)
         return value, slopes

@@ -1,8 +1,10 @@
 """Compiled loops for the recorded spectrum: the echo through the transducer, and the clutter.
 
-The equations are in :class:`acoustube.inversion.ForwardModel`. The loops run frequency by
-frequency; columns of derivatives are ordered as parameters, place and depth of each press in turn
-and then the six nuisance parameters.
+The recorded spectrum is ``exp(g + j p) G H^2 X`` plus the clutter, with the echo X at the face, the
+deviations g and p of gain and phase, the gain G without the transducer's resonance, and the
+transducer's response ``H = 1 / (1 + j Q (f / f0 - f0 / f))``. The loops run frequency by frequency;
+derivatives are in the order of the parameters, place and depth of each press in turn and then the
+six nuisance parameters.
 """
 
 from __future__ import annotations
@@ -72,8 +74,7 @@ def recorded(
             slopes[a, 2 * p, f] = factor * warm
             slopes[a, 2 * p + 1, f] = echo
             slopes[a, 2 * p + 2, f] = 1j * echo
-            by_resonance = -quality * (here + inverse) / resonance
-            slopes[a, 2 * p + 3, f] = slope * by_resonance * resonator[0]
+            slopes[a, 2 * p + 3, f] = -slope * quality * (here + inverse) * resonator[0] / resonance
             slopes[a, 2 * p + 4, f] = slope * off * resonator[1]
             slopes[a, 2 * p + 5, f] = factor * by_stretch[a, f]
     return found, slopes
