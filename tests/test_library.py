@@ -8,9 +8,11 @@ from commands import run_here
 
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
+from acoustube.runs import presses
 from acoustube.runs.libraries import files
-from acoustube.runs.libraries.build import Refinement, deviation
+from acoustube.runs.libraries.build import PressRows, joined
 from acoustube.runs.libraries.plan import tool_plans
+from acoustube.runs.libraries.refinement import Refinement, deviation
 
 
 class Matrix:
@@ -110,6 +112,22 @@ def test_four_depths_whose_middles_fail_are_no_tool():
     assert not np.isfinite(found.between()).any()
 
 
+def test_press_ends_where_one_of_its_parts_does():
+    def rows(depths, stopped=""):
+        depth = np.array([0.0, *depths])
+        return PressRows({"depth": depth, "displacement": depth[:, None] * [1.0, 2.0]}, stopped)
+
+    # The deep part has a shallow increment of its own.
+    whole = joined(rows([1, 2, 3]), rows([1.5, 4, 5]))
+    assert whole.arrays["depth"].tolist() == [0, 1, 2, 3, 4, 5]
+    assert whole.arrays["displacement"][:, 1].tolist() == [0, 2, 4, 6, 8, 10]
+    assert not whole.stopped
+    short = joined(rows([1, 2], "it has stopped"), rows([4, 5]))
+    assert (short.arrays["depth"].tolist(), short.stopped) == ([0, 1, 2], "it has stopped")
+    short = joined(rows([1, 2, 3]), rows([1.5], "it has stopped"))
+    assert (short.arrays["depth"].tolist(), short.stopped) == ([0, 1, 2, 3], "it has stopped")
+
+
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
@@ -150,6 +168,15 @@ def test_library_is_that_of_presses_to_its_depths(tmp_path):
     (tool,) = library.tools
     assert tool.name == "10 mm rod"
     assert np.all(np.diff(tool.force) > 0)
+    # The press was solved in two parts: residuals may be 1e-5 of the smallest force.
+    (plan,) = tool_plans(
+        {"indenter_mm": ["10"], "inner_diameter_mm": ["4"], "depth_mm": ["0.4:1:0.2"]},
+        0.1,
+        settings,
+    )
+    whole = presses.press_to(plan.settings, plan.pressed)
+    force = whole.contact_force[whole.rows_at(plan.first)]
+    assert tool.force[np.isin(tool.depth, plan.first)] == pytest.approx(force, rel=1e-5)
     again = run_here(*words)
     assert "1 of 1 indenters finished" in again.stdout
     assert library.modes == ("00", "11c")

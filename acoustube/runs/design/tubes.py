@@ -119,7 +119,7 @@ def plan_of(design: DesignGoal, spec: TubeSpec, tool: float, band: tuple[float, 
 
 def sounded(plan: ToolPlan) -> Done[Sounded]:
     """Press a tube and compute its scattering at the depths of a plan, or read both from cache."""
-    (arrays, stopped), reused = press_rows(plan)
+    (arrays, stopped), reused = press_rows(plan, plan.pressed)
     settings = plan.settings
     reached = [d for d in plan.first if d <= arrays["depth"][-1] * (1 + 1e-9)]
     empty = np.zeros(0)

@@ -1,1 +1,4 @@
-"""Libraries of scattering over depth for the inversion: `plan` (tools), `build` and `files`."""
+"""Libraries of scattering over depth for the inversion.
+
+In reading order: `plan` (tools), `refinement` (of the depths), `build` and `files`.
+"""

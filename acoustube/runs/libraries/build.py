@@ -1,15 +1,14 @@
 """Computation of libraries: presses, then their scattering at depths refined by bisection.
 
-A press is solved at depths some tenths of a millimetre apart. Shapes at depths between these are
-interpolated, to an accuracy of micrometres. Scattering varies faster with depth than the shape
-where a lumen has trapped modes, and is therefore computed at more depths. Its interpolation by
-cubic splines over depth has an error that is estimated by leave-one-out cross-validation. Intervals
-of depth in which this error is too large are bisected level by level.
+A press is solved at depths some tenths of a millimetre apart, in two parts at the same time: the
+shallower two thirds and the deepest third. Shapes at depths between these are interpolated, to an
+accuracy of micrometres. Scattering varies faster with depth than the shape where a lumen has
+trapped modes, and is therefore computed at more depths, level by level
+(:mod:`acoustube.runs.libraries.refinement`).
 """
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
@@ -17,7 +16,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from acoustube.base import cache
 from acoustube.base.checks import Several, checked
@@ -37,25 +35,19 @@ from acoustube.runs import scattering_file, sound
 from acoustube.runs.costs import press_seconds, spectral_seconds
 from acoustube.runs.libraries import files
 from acoustube.runs.libraries.plan import ToolPlan
+from acoustube.runs.libraries.refinement import Refinement
 from acoustube.runs.sweep.progress import Board
 from acoustube.runs.sweep.run import run_with_progress
 from acoustube.runs.sweep.tasks import Done, one_thread
 from acoustube.runs.sweep.workers import WORKERS, Task, Workers, count_of
-from acoustube.waves.scattering import Complex
 from acoustube.waves.spectral import SpectralScattering
 
 GOOD_SHARE = 0.75
 """Fraction of the frequencies at which the estimated error of a matrix must be small. The estimate
 leaves out losses, and is therefore far too large within half a kilohertz of a trapped mode."""
-GAIN_OF_BISECTION = 6.0
-"""Assumed factor by which bisection of an interval reduces the interpolation error of a cubic
-spline; it is 16 for the smoothest functions."""
-REACH = 8
-"""Number of depths on each side of a left-out depth from which its scattering is interpolated."""
-WIDEST_GAP = 1.6
-"""Widest gap that failed depths may leave, relative to the largest step before bisection."""
-FINEST = 1 / 32
-"""Smallest step of depth, relative to the smallest step before bisection."""
+DEEP_SHARE = 1 / 3
+"""Fraction of the depths of a press that make its deep part. Solving them takes about as long as
+solving the others: contact is wider, and the load path on the coarse mesh leads to them first."""
 USUAL_DEPTHS = 3.0
 """Ratio of final to first number of depths of a tool, for estimates of time."""
 
@@ -67,14 +59,29 @@ class PressRows(NamedTuple):
     stopped: str
 
 
-def press_rows(plan: ToolPlan) -> Done[PressRows]:
-    """Press a tube to the depths of a plan, or read the press from the cache."""
-    reused = cache.holds(press_runs.cache_key(plan.settings, plan.pressed))
+def press_rows(plan: ToolPlan, depths: Sequence[float]) -> Done[PressRows]:
+    """Press the tube of a plan to depths in m, or read the press from the cache."""
+    reused = cache.holds(press_runs.cache_key(plan.settings, depths))
     try:
-        found = press_runs.press_to(plan.settings, plan.pressed)
+        found = press_runs.press_to(plan.settings, depths)
         return Done(PressRows(found.results, ""), reused)
     except PressError as error:
         return Done(PressRows(error.indentation.results, str(error)), reused)
+
+
+def joined(shallow: PressRows, deep: PressRows) -> PressRows:
+    """Return the rows of both parts of a press in order of depth.
+
+    They end where the shallow part does, if it has not reached all its depths.
+    """
+    if shallow.stopped:
+        return shallow
+    deeper = deep.arrays["depth"] > shallow.arrays["depth"][-1]
+    arrays = {
+        name: np.concatenate([rows, deep.arrays[name][deeper]])
+        for name, rows in shallow.arrays.items()
+    }
+    return PressRows(arrays, deep.stopped)
 
 
 def scattering_at(plan: ToolPlan, depth: float, part: Lumen) -> Done[SpectralScattering | str]:
@@ -95,101 +102,6 @@ def scattering_at(plan: ToolPlan, depth: float, part: Lumen) -> Done[SpectralSca
         return Done(str(reason).partition(";")[0], False)
     scattering_file.keep(name, found, f"library: {MM * depth:.4g} mm of {plan.words}")
     return Done(found, False)
-
-
-class Refinement:
-    """Scattering of a tool at the depths computed so far, and the depths that it lacks.
-
-    Parameters
-    ----------
-    tolerance : float
-        Largest expected error of interpolation, as :func:`deviation` measures it.
-    first : sequence of float
-        Depths in m to begin with.
-    """
-
-    def __init__(self, tolerance: float, first: Sequence[float]) -> None:
-        self.tolerance, self.first = tolerance, first
-        self.known: dict[float, SpectralScattering] = {}
-        self.waiting: set[float] = set(first)
-        self.failed: dict[float, str] = {}
-        self.level: list[float] = []
-        self.least = FINEST * min(np.diff(first))
-
-    def add(self, depth: float, found: SpectralScattering) -> None:
-        """Add the scattering at a depth in m."""
-        self.known[depth] = found
-        self.waiting.discard(depth)
-
-    def fail(self, depth: float, reason: str) -> None:
-        """Leave out a depth in m that cannot be computed."""
-        self.failed[depth] = reason
-        self.waiting.discard(depth)
-
-    @property
-    def depths(self) -> list[float]:
-        """Rising depths in m computed so far, up to the first gap too wide to interpolate over."""
-        depths = sorted(self.known)
-        gaps = np.diff(depths)
-        wide = np.flatnonzero(gaps > WIDEST_GAP * max(np.diff(self.first)))
-        return depths[: wide[0] + 1] if len(wide) else depths
-
-    @property
-    def reason(self) -> str:
-        """Reason why the depths end before the last requested one; empty if they do not."""
-        last = max(self.depths, default=0.0)
-        return next((self.failed[d] for d in sorted(self.failed) if d > last), "")
-
-    def next(self) -> list[float]:
-        """Return the depths in m of the next level of bisection; none at the end.
-
-        To be called once all depths of the current level are known. The new depths are the middles
-        of all intervals at first, then of those whose interpolation error exceeds the tolerance.
-        """
-        depths = self.depths
-        if len(depths) < FEWEST_DEPTHS:
-            return []
-        error = self.between() if self.level else np.full(len(depths) - 1, np.inf)
-        self.level = [
-            round((a + b) / 2, 12)
-            for (a, b), one in zip(itertools.pairwise(depths), error, strict=True)
-            if one > self.tolerance and b - a > 1.5 * self.least
-        ]
-        self.level = [depth for depth in self.level if depth not in self.failed]
-        self.waiting = set(self.level)
-        return self.level
-
-    def between(self) -> Array:
-        """Return the expected error of interpolation between each depth and the next, (n - 1,).
-
-        It is estimated by leave-one-out cross-validation; inf if there are too few depths. The
-        error at a depth left out is taken as proportional to the product of the squared distances
-        to its neighbours, the error in an interval to the fourth power of the interval's length.
-        """
-        depths = np.array(self.depths)
-        known = np.array([self.known[d].s[:, :, :1, :, :1] for d in self.depths])
-        steps = np.diff(depths)
-        found = np.zeros(len(steps))
-        for i in range(1, len(depths) - 1):
-            near = np.arange(max(i - REACH, 0), min(i + REACH + 1, len(depths)))
-            near = near[near != i]
-            if len(near) < FEWEST_DEPTHS:
-                return np.full(len(steps), np.inf)
-            error = deviation(CubicSpline(depths[near], known[near])(depths[i]), known[i])
-            beside = slice(i - 1, i + 1)
-            scale = error / np.prod(steps[beside]) ** 2 / GAIN_OF_BISECTION
-            found[beside] = np.maximum(found[beside], scale * steps[beside] ** 4)
-        return found
-
-
-def deviation(found: Complex, exact: Complex) -> float:
-    """Return the error of a scattering matrix, (n_f, 2, m, 2, m), over the band.
-
-    It is the larger of two: the rms error of the plane wave's reflection coefficient relative to
-    the rms of this coefficient, and the rms error of its transmission coefficient.
-    """
-    plane = np.sqrt(np.mean(np.abs((found - exact)[:, :, 0, 0, 0]) ** 2, axis=0))
-    return float(max(plane[0] / np.sqrt(np.mean(np.abs(exact[:, 0, 0, 0, 0]) ** 2)), plane[1]))
 
 
 @checked(
@@ -259,16 +171,15 @@ def build_library(
     if todo:
         with watched_interrupts() as check, report.progress(check) as show:
             totals = {
-                "press": (len(todo), sum(cost[0] for cost in costs)),
+                "press": (2 * len(todo), sum(cost[0] for cost in costs)),
                 "scattering": (int(USUAL_DEPTHS * sum(len(p.first) for p in todo)),
                                sum(cost[1] for cost in costs)),
             }  # fmt: skip
             board = Board(totals, count, show)
             tools = [_Builder(plan, folder, board, report, failed) for plan in todo]
             try:
-                run_with_progress(
-                    [t.press() for t in tools], board, workers=workers, executor=executor
-                )
+                first_tasks = [task for tool in tools for task in tool.press()]
+                run_with_progress(first_tasks, board, workers=workers, executor=executor)
             except KeyboardInterrupt:
                 raise KeyboardInterrupt(
                     "interrupted; presses and scattering matrices are in the cache, run the same "
@@ -282,47 +193,69 @@ def build_library(
 
 def _cost(plan: ToolPlan) -> tuple[float, float]:
     """Return the expected times in s of a tool's press and of its scattering matrices."""
-    matrix = spectral_seconds(plan.settings)
-    return press_seconds(plan.settings, plan.pressed[-1]), USUAL_DEPTHS * len(plan.first) * matrix
+    press = sum(press_seconds(plan.settings, depths[-1]) for depths in _parts(plan.pressed))
+    return press, USUAL_DEPTHS * len(plan.first) * spectral_seconds(plan.settings)
+
+
+def _parts(depths: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
+    """Return the depths of the shallow and of the deep part of a press."""
+    n = round((1 - DEEP_SHARE) * len(depths))
+    return depths[:n], depths[n:]
 
 
 class _Builder:
-    """Tasks of one tool: its press, its matrices level by level, and its file."""
+    """Tasks of one tool: the parts of its press, its matrices level by level, and its file."""
 
     def __init__(
         self, plan: ToolPlan, folder: Path, board: Board, report: Reporter, failed: list[str]
     ) -> None:
         self.plan, self.folder, self.board, self.report = plan, folder, board, report
         self.failed = failed
+        self.pressed: list[PressRows | None] = [None, None]
         self.path: DepthPath | None = None
         self.refinement = Refinement(plan.tolerance, plan.first)
         self.expected = int(USUAL_DEPTHS * len(plan.first))
 
-    def press(self) -> Task:
-        """Return the task of the press."""
-        cost = press_seconds(self.plan.settings, self.plan.pressed[-1])
+    def press(self) -> list[Task]:
+        """Return the tasks of the press: its deep and its shallow part."""
+        shallow, deep = _parts(self.plan.pressed)
+        return [self._part(1, deep), self._part(0, shallow)]
+
+    def _part(self, number: int, depths: Sequence[float]) -> Task:
+        """Return the task of a part of the press, to depths in m."""
+        cost = press_seconds(self.plan.settings, depths[-1])
 
         def then(done: Done[PressRows]) -> list[Task]:
             self.board.count("press", cost, reused=done.reused)
-            settings, (arrays, stopped) = self.plan.settings, done.result
-            reached = [d for d in self.plan.first if d <= arrays["depth"][-1] * (1 + 1e-9)]
-            if stopped:
-                self.report.note(f"{self.plan.words}: {stopped}")
-            if len(reached) < FEWEST_DEPTHS:
-                return self._give_up(f"too few depths were reached ({stopped})")
-            self.path = DepthPath(
-                restored(
-                    settings.tube, settings.indenter, arrays, support=settings.support,
-                    layer=settings.layer, mesh=settings.mesh,
-                )
-            )  # fmt: skip
-            self.refinement = Refinement(self.plan.tolerance, reached)
-            return self._scatter(reached)
+            self.pressed[number] = done.result
+            shallow, deep = self.pressed
+            return [] if shallow is None or deep is None else self._sound(joined(shallow, deep))
 
-        return Task(press_rows, (self.plan,), then, self._failed("press", cost), cost)
+        return Task(press_rows, (self.plan, depths), then, self._failed("press", cost), cost)
+
+    def _sound(self, press: PressRows) -> list[Task]:
+        """Return the tasks that compute the scattering at the first depths of a press."""
+        settings, (arrays, stopped) = self.plan.settings, press
+        reached = [d for d in self.plan.first if d <= arrays["depth"][-1] * (1 + 1e-9)]
+        if stopped:
+            self.report.note(f"{self.plan.words}: {stopped}")
+        if len(reached) < FEWEST_DEPTHS:
+            return self._give_up(f"too few depths were reached ({stopped})")
+        self.path = DepthPath(
+            restored(
+                settings.tube, settings.indenter, arrays, support=settings.support,
+                layer=settings.layer, mesh=settings.mesh,
+            )
+        )  # fmt: skip
+        self.refinement = Refinement(self.plan.tolerance, reached)
+        return self._scatter(reached)
 
     def _scatter(self, depths: Sequence[float]) -> list[Task]:
-        """Return the tasks that compute the scattering at one level of depths in m."""
+        """Return the tasks that compute the scattering at one level of depths in m.
+
+        The deepest come first. Near closure they take up to five times as long as others, for which
+        the other workers would wait at the end of the level.
+        """
         assert self.path is not None
         n, cost = self.board.totals["scattering"]
         short = len(self.refinement.known) + len(depths) - self.expected
@@ -331,7 +264,8 @@ class _Builder:
             more = short * spectral_seconds(self.plan.settings)
             self.board.totals["scattering"] = (n + short, cost + more)
             self.board.left += more
-        return [self._matrix(d, pressed_part(self.path.at([d]))) for d in sorted(depths)]
+        deepest_first = sorted(depths, reverse=True)
+        return [self._matrix(d, pressed_part(self.path.at([d]))) for d in deepest_first]
 
     def _matrix(self, depth: float, part: Lumen) -> Task:
         cost = spectral_seconds(self.plan.settings)
@@ -382,7 +316,9 @@ class _Builder:
         )  # fmt: skip
 
     def _give_up(self, reason: str) -> list[Task]:
-        self.failed.append(f"{self.plan.words}: {reason}")
+        sentence = f"{self.plan.words}: {reason}"
+        if sentence not in self.failed:  # as both parts of a press may fail for the same reason
+            self.failed.append(sentence)
         return []
 
     def _failed(self, stage: str, cost: float) -> Callable[[str], None]:

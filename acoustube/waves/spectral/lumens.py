@@ -158,7 +158,8 @@ class Lines:
         (x, x_s), (y, y_s), (_, z_s) = (self._at(s, axis) for axis in range(3))
         place, along = np.stack([x, y], axis=-1), np.stack([x_s / z_s, y_s / z_s], axis=-1)
         for rim, end, beyond in ((1, 0, height < low), (-2, -1, height > high)):
-            place, along = self._beyond(height, rim, end, beyond, place, along)
+            if beyond.any():
+                place, along = self._beyond(height, rim, end, beyond, place, along)
         return place[..., 0], place[..., 1], along[..., 0], along[..., 1]
 
     def _at(self, s: Array, axis: int) -> tuple[Array, Array]:

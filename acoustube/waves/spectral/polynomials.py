@@ -164,7 +164,7 @@ def _norm(degree: int, x: Array) -> Array:
 
 def _derivatives(degree: int) -> tuple[Array, Array]:
     """Return the matrices of d/dx and x d/dx in the normalised Legendre polynomials."""
-    x, w = np.polynomial.legendre.leggauss(degree + 1)
+    x, w = _rule(degree + 1)
     p = legendre(degree, x)
     slope = np.stack(
         [
@@ -178,7 +178,7 @@ def _derivatives(degree: int) -> tuple[Array, Array]:
 @lru_cache(maxsize=8)
 def _products(degree: int) -> Array:
     """Return Legendre coefficients of products P_i P_k, (degree + 1, degree + 1, 2 degree + 1)."""
-    x, w = np.polynomial.legendre.leggauss(2 * degree + 1)
+    x, w = _rule(2 * degree + 1)
     p = legendre(2 * degree, x)
     low = p[: degree + 1]
     return np.asarray(np.einsum("iq,kq,mq,q->ikm", low, low, p, w / 2, optimize=True))
@@ -283,8 +283,16 @@ def lobatto(degree: int, x: Array) -> tuple[Array, Array]:
 
 def gauss(n: int, low: float = -1.0, high: float = 1.0) -> tuple[Array, Array]:
     """Return the points and weights of Gauss's rule over an interval."""
-    x, w = np.polynomial.legendre.leggauss(n)
+    x, w = _rule(n)
     return low + (high - low) * (x + 1) / 2, w * (high - low) / 2
+
+
+@lru_cache(maxsize=64)
+def _rule(n: int) -> tuple[Array, Array]:
+    """Return the points and weights of Gauss's rule from -1 to 1, not to be written to."""
+    x, w = np.polynomial.legendre.leggauss(n)
+    x.flags.writeable = w.flags.writeable = False
+    return x, w
 
 
 def gauss_lobatto(n: int) -> Array:
