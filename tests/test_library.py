@@ -10,7 +10,7 @@ from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.runs import presses
 from acoustube.runs.libraries import files
-from acoustube.runs.libraries.build import PressRows, joined
+from acoustube.runs.libraries.build import PressRows, joined, parts_of
 from acoustube.runs.libraries.plan import tool_plans
 from acoustube.runs.libraries.refinement import Refinement, deviation
 
@@ -117,14 +117,15 @@ def test_press_ends_where_one_of_its_parts_does():
         depth = np.array([0.0, *depths])
         return PressRows({"depth": depth, "displacement": depth[:, None] * [1.0, 2.0]}, stopped)
 
-    # The deep part has a shallow increment of its own.
-    whole = joined(rows([1, 2, 3]), rows([1.5, 4, 5]))
+    # The deep part has increments of its own on the way.
+    parts = [1, 2, 3], [4, 5]
+    whole = joined([rows([1, 2, 3]), rows([1.5, 3.01, 4, 5])], parts)
     assert whole.arrays["depth"].tolist() == [0, 1, 2, 3, 4, 5]
     assert whole.arrays["displacement"][:, 1].tolist() == [0, 2, 4, 6, 8, 10]
     assert not whole.stopped
-    short = joined(rows([1, 2], "it has stopped"), rows([4, 5]))
+    short = joined([rows([1, 2], "it has stopped"), rows([4, 5])], parts)
     assert (short.arrays["depth"].tolist(), short.stopped) == ([0, 1, 2], "it has stopped")
-    short = joined(rows([1, 2, 3]), rows([1.5], "it has stopped"))
+    short = joined([rows([1, 2, 3]), rows([1.5, 3.01], "it has stopped")], parts)
     assert (short.arrays["depth"].tolist(), short.stopped) == ([0, 1, 2, 3], "it has stopped")
 
 
@@ -157,9 +158,9 @@ def test_folder_of_something_else_is_left_alone(tmp_path):
 
 @pytest.mark.slow
 def test_library_is_that_of_presses_to_its_depths(tmp_path):
-    """On a coarse mesh of a narrow tube: forces increase, and a repetition computes nothing."""
-    settings = tmp_path / "coarse.toml"
-    settings.write_text('[indentation]\nmesh = "coarse"\n[waves]\nlosses = "off"\n')
+    """In a narrow tube: forces are those of one press, and a repetition computes nothing."""
+    settings = tmp_path / "lossless.toml"
+    settings.write_text('[waves]\nlosses = "off"\n')
     words = ["library", "--config", settings, "--indenter", 10, "--bore", 4, "--depth",
              "0.4:1:0.2", "--tolerance", 0.1, "--workers", 1, "--out", "lib"]  # fmt: skip
     done = run_here(*words)
@@ -174,7 +175,9 @@ def test_library_is_that_of_presses_to_its_depths(tmp_path):
         0.1,
         settings,
     )
+    assert len(parts_of(plan)) == 2
     whole = presses.press_to(plan.settings, plan.pressed)
+    assert parts_of(plan) == [plan.pressed]  # now in the cache
     force = whole.contact_force[whole.rows_at(plan.first)]
     assert tool.force[np.isin(tool.depth, plan.first)] == pytest.approx(force, rel=1e-5)
     again = run_here(*words)

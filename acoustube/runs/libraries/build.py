@@ -1,9 +1,9 @@
 """Computation of libraries: presses, then their scattering at depths refined by bisection.
 
-A press is solved at depths some tenths of a millimetre apart, in two parts at the same time: the
-shallower two thirds and the deepest third. Shapes at depths between these are interpolated, to an
-accuracy of micrometres. Scattering varies faster with depth than the shape where a lumen has
-trapped modes, and is therefore computed at more depths, level by level
+A press is solved at depths some tenths of a millimetre apart, usually in two parts at the same
+time: the shallower two thirds and the deepest third. Shapes at depths between these are
+interpolated, to an accuracy of micrometres. Scattering varies faster with depth than the shape
+where a lumen has trapped modes, and is therefore computed at more depths, level by level
 (:mod:`acoustube.runs.libraries.refinement`).
 """
 
@@ -32,6 +32,7 @@ from acoustube.inversion.tools import FEWEST_DEPTHS
 from acoustube.lumen import Lumen, pressed_part
 from acoustube.runs import presses as press_runs
 from acoustube.runs import scattering_file, sound
+from acoustube.runs.config.si import MESH_SIZES
 from acoustube.runs.costs import press_seconds, spectral_seconds
 from acoustube.runs.libraries import files
 from acoustube.runs.libraries.plan import ToolPlan
@@ -47,7 +48,7 @@ GOOD_SHARE = 0.75
 leaves out losses, and is therefore far too large within half a kilohertz of a trapped mode."""
 DEEP_SHARE = 1 / 3
 """Fraction of the depths of a press that make its deep part. Solving them takes about as long as
-solving the others: contact is wider, and the load path on the coarse mesh leads to them first."""
+solving the others: contact is wider, and a load path on the coarse mesh leads to them first."""
 USUAL_DEPTHS = 3.0
 """Ratio of final to first number of depths of a tool, for estimates of time."""
 
@@ -69,19 +70,36 @@ def press_rows(plan: ToolPlan, depths: Sequence[float]) -> Done[PressRows]:
         return Done(PressRows(error.indentation.results, str(error)), reused)
 
 
-def joined(shallow: PressRows, deep: PressRows) -> PressRows:
-    """Return the rows of both parts of a press in order of depth.
+def parts_of(plan: ToolPlan) -> list[tuple[float, ...]]:
+    """Return the depths in m of the parts of a press, which are solved at the same time.
 
-    They end where the shallow part does, if it has not reached all its depths.
+    There is one part if the whole press is in the cache, or on the coarse mesh, where nothing leads
+    to the deep part but the depths of the shallow one.
     """
-    if shallow.stopped:
-        return shallow
-    deeper = deep.arrays["depth"] > shallow.arrays["depth"][-1]
-    arrays = {
-        name: np.concatenate([rows, deep.arrays[name][deeper]])
-        for name, rows in shallow.arrays.items()
-    }
-    return PressRows(arrays, deep.stopped)
+    depths = plan.pressed
+    whole = cache.holds(press_runs.cache_key(plan.settings, depths))
+    if whole or plan.settings.mesh == MESH_SIZES["coarse"]:
+        return [depths]
+    n = round((1 - DEEP_SHARE) * len(depths))
+    return [depths[:n], depths[n:]]
+
+
+def joined(pressed: Sequence[PressRows], parts: Sequence[Sequence[float]]) -> PressRows:
+    """Return the rows of the parts of a press in order of depth, up to the first part that stopped.
+
+    `parts` are their depths in m. Rows on the way to the first depth of a part are left out: those
+    of the part before it are there.
+    """
+    arrays, stopped = pressed[0]
+    for further, depths in zip(pressed[1:], parts[1:], strict=True):
+        if stopped:
+            break
+        own = further.arrays["depth"] >= depths[0]
+        arrays = {
+            name: np.concatenate([rows, further.arrays[name][own]]) for name, rows in arrays.items()
+        }
+        stopped = further.stopped
+    return PressRows(arrays, stopped)
 
 
 def scattering_at(plan: ToolPlan, depth: float, part: Lumen) -> Done[SpectralScattering | str]:
@@ -156,7 +174,7 @@ def build_library(
     report.rows([
         ("indenters", "\n".join(plan.words for plan in plans)),
         ("depths", (f"{MM * first[0]:g} to {MM * first[-1]:g} mm, "
-                    f"{len(plans[0].pressed)} presses")),
+                    f"{len(plans[0].pressed)} steps of the press")),
         ("band", "{:g} to {:g} kHz".format(*(KHZ * edge for edge in plans[0].band))),
         ("air", f"{settings.temperature:g} degC, {settings.air.sound_speed:.2f} m/s"),
         ("expected", (f"{time_in_words(sum(map(sum, costs)) / count)} on {count} workers; "
@@ -171,7 +189,8 @@ def build_library(
     if todo:
         with watched_interrupts() as check, report.progress(check) as show:
             totals = {
-                "press": (2 * len(todo), sum(cost[0] for cost in costs)),
+                "press": (sum(len(parts_of(plan)) for plan in todo),
+                          sum(cost[0] for cost in costs)),
                 "scattering": (int(USUAL_DEPTHS * sum(len(p.first) for p in todo)),
                                sum(cost[1] for cost in costs)),
             }  # fmt: skip
@@ -193,14 +212,13 @@ def build_library(
 
 def _cost(plan: ToolPlan) -> tuple[float, float]:
     """Return the expected times in s of a tool's press and of its scattering matrices."""
-    press = sum(press_seconds(plan.settings, depths[-1]) for depths in _parts(plan.pressed))
+    press = len(parts_of(plan)) * _part_cost(plan)
     return press, USUAL_DEPTHS * len(plan.first) * spectral_seconds(plan.settings)
 
 
-def _parts(depths: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
-    """Return the depths of the shallow and of the deep part of a press."""
-    n = round((1 - DEEP_SHARE) * len(depths))
-    return depths[:n], depths[n:]
+def _part_cost(plan: ToolPlan) -> float:
+    """Return the expected time in s of each part of a tool's press."""
+    return press_seconds(plan.settings, parts_of(plan)[0][-1])
 
 
 class _Builder:
@@ -210,35 +228,42 @@ class _Builder:
         self, plan: ToolPlan, folder: Path, board: Board, report: Reporter, failed: list[str]
     ) -> None:
         self.plan, self.folder, self.board, self.report = plan, folder, board, report
-        self.failed = failed
-        self.pressed: list[PressRows | None] = [None, None]
+        self.failed, self.given_up = failed, False
+        self.parts = parts_of(plan)
+        self.pressed: dict[int, PressRows] = {}
         self.path: DepthPath | None = None
         self.refinement = Refinement(plan.tolerance, plan.first)
         self.expected = int(USUAL_DEPTHS * len(plan.first))
 
     def press(self) -> list[Task]:
-        """Return the tasks of the press: its deep and its shallow part."""
-        shallow, deep = _parts(self.plan.pressed)
-        return [self._part(1, deep), self._part(0, shallow)]
+        """Return the tasks of the parts of the press."""
+        return [self._part(number) for number in range(len(self.parts))]
 
-    def _part(self, number: int, depths: Sequence[float]) -> Task:
-        """Return the task of a part of the press, to depths in m."""
-        cost = press_seconds(self.plan.settings, depths[-1])
+    def _part(self, number: int) -> Task:
+        """Return the task of a part of the press; the last one to end goes on."""
+        cost = _part_cost(self.plan)
 
         def then(done: Done[PressRows]) -> list[Task]:
             self.board.count("press", cost, reused=done.reused)
             self.pressed[number] = done.result
-            shallow, deep = self.pressed
-            return [] if shallow is None or deep is None else self._sound(joined(shallow, deep))
+            if len(self.pressed) < len(self.parts):
+                return []
+            return self._sound(
+                joined([self.pressed[i] for i in range(len(self.parts))], self.parts)
+            )
 
-        return Task(press_rows, (self.plan, depths), then, self._failed("press", cost), cost)
+        arguments = self.plan, self.parts[number]
+        return Task(press_rows, arguments, then, self._failed("press", cost), cost)
 
     def _sound(self, press: PressRows) -> list[Task]:
         """Return the tasks that compute the scattering at the first depths of a press."""
         settings, (arrays, stopped) = self.plan.settings, press
         reached = [d for d in self.plan.first if d <= arrays["depth"][-1] * (1 + 1e-9)]
         if stopped:
-            self.report.note(f"{self.plan.words}: {stopped}")
+            last, wanted = MM * arrays["depth"][-1], MM * self.plan.pressed[-1]
+            self.report.note(
+                f"{self.plan.words}: the press ends at {last:.4g} of {wanted:.4g} mm; {stopped}"
+            )
         if len(reached) < FEWEST_DEPTHS:
             return self._give_up(f"too few depths were reached ({stopped})")
         self.path = DepthPath(
@@ -316,9 +341,10 @@ class _Builder:
         )  # fmt: skip
 
     def _give_up(self, reason: str) -> list[Task]:
-        sentence = f"{self.plan.words}: {reason}"
-        if sentence not in self.failed:  # as both parts of a press may fail for the same reason
-            self.failed.append(sentence)
+        """Report the tool as failed, once: its other tasks may fail too."""
+        if not self.given_up:
+            self.failed.append(f"{self.plan.words}: {reason}")
+        self.given_up = True
         return []
 
     def _failed(self, stage: str, cost: float) -> Callable[[str], None]:
