@@ -157,8 +157,10 @@ def test_folder_of_something_else_is_left_alone(tmp_path):
 
 
 @pytest.mark.slow
-def test_library_is_that_of_presses_to_its_depths(tmp_path):
+def test_library_is_that_of_presses_to_its_depths(tmp_path, monkeypatch):
     """In a narrow tube: forces are those of one press, and a repetition computes nothing."""
+    # A folder of its own: a whole press in the cache would not be solved in parts.
+    monkeypatch.setenv("ACOUSTUBE_CACHE", str(tmp_path / "cache"))
     settings = tmp_path / "lossless.toml"
     settings.write_text('[waves]\nlosses = "off"\n')
     words = ["library", "--config", settings, "--indenter", 10, "--bore", 4, "--depth",
