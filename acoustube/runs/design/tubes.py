@@ -10,7 +10,6 @@ import numpy as np
 from acoustube.base.errors import ConfigError
 from acoustube.base.types import Array
 from acoustube.base.units import MM
-from acoustube.indentation import DepthPath, restored
 from acoustube.inversion.design import PressedTube
 from acoustube.inversion.design.echoes import FEWEST
 from acoustube.lumen import pressed_part
@@ -18,7 +17,7 @@ from acoustube.runs.config import configured
 from acoustube.runs.config.goal import DesignGoal
 from acoustube.runs.config.si import settings_in_si
 from acoustube.runs.costs import press_seconds, spectral_seconds
-from acoustube.runs.libraries.build import press_rows, scattering_at
+from acoustube.runs.libraries.build import path_of, press_rows, scattering_at
 from acoustube.runs.libraries.plan import ToolPlan
 from acoustube.runs.sweep.progress import Board
 from acoustube.runs.sweep.tasks import Done
@@ -120,18 +119,12 @@ def plan_of(design: DesignGoal, spec: TubeSpec, tool: float, band: tuple[float, 
 def sounded(plan: ToolPlan) -> Done[Sounded]:
     """Press a tube and compute its scattering at the depths of a plan, or read both from cache."""
     (arrays, stopped), reused = press_rows(plan, plan.pressed)
-    settings = plan.settings
     reached = [d for d in plan.first if d <= arrays["depth"][-1] * (1 + 1e-9)]
     empty = np.zeros(0)
     none = Sounded(empty, empty, empty, empty.astype(complex), 0.0)
     if len(reached) < FEWEST:
         return Done(none._replace(reason=stopped or "too few depths were reached"), reused)
-    path = DepthPath(
-        restored(
-            settings.tube, settings.indenter, arrays, support=settings.support,
-            layer=settings.layer, mesh=settings.mesh,
-        )
-    )  # fmt: skip
+    path = path_of(plan, arrays)
     kept: list[float] = []
     reflection: list[Complex] = []
     passed: list[Complex] = []
@@ -155,7 +148,7 @@ def sounded(plan: ToolPlan) -> Done[Sounded]:
     return Done(
         Sounded(
             np.array(kept)[rising], force[rising], frequency, np.array(reflection)[rising],
-            settings.air.sound_speed, transmission=np.array(passed)[rising],
+            plan.settings.air.sound_speed, transmission=np.array(passed)[rising],
         ),
         reused,
     )  # fmt: skip

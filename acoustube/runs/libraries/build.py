@@ -53,6 +53,10 @@ USUAL_DEPTHS = 3.0
 """Ratio of final to first number of depths of a tool, for estimates of time."""
 
 
+# Depths in m of the parts of a press, rising.
+Parts = Sequence[tuple[float, ...]]
+
+
 class PressRows(NamedTuple):
     """Arrays of a press, and the reason why it did not reach all depths; empty if it did."""
 
@@ -70,7 +74,7 @@ def press_rows(plan: ToolPlan, depths: Sequence[float]) -> Done[PressRows]:
         return Done(PressRows(error.indentation.results, str(error)), reused)
 
 
-def parts_of(plan: ToolPlan) -> list[tuple[float, ...]]:
+def parts_of(plan: ToolPlan) -> Parts:
     """Return the depths in m of the parts of a press, which are solved at the same time.
 
     There is one part if the whole press is in the cache, or on the coarse mesh, where nothing leads
@@ -84,7 +88,7 @@ def parts_of(plan: ToolPlan) -> list[tuple[float, ...]]:
     return [depths[:n], depths[n:]]
 
 
-def joined(pressed: Sequence[PressRows], parts: Sequence[Sequence[float]]) -> PressRows:
+def joined(pressed: Sequence[PressRows], parts: Parts) -> PressRows:
     """Return the rows of the parts of a press in order of depth, up to the first part that stopped.
 
     `parts` are their depths in m. Rows on the way to the first depth of a part are left out: those
@@ -100,6 +104,17 @@ def joined(pressed: Sequence[PressRows], parts: Sequence[Sequence[float]]) -> Pr
         }
         stopped = further.stopped
     return PressRows(arrays, stopped)
+
+
+def path_of(plan: ToolPlan, arrays: dict[str, Array]) -> DepthPath:
+    """Return the interpolation of a press over depth, from its arrays."""
+    settings = plan.settings
+    return DepthPath(
+        restored(
+            settings.tube, settings.indenter, arrays, support=settings.support,
+            layer=settings.layer, mesh=settings.mesh,
+        )
+    )  # fmt: skip
 
 
 def scattering_at(plan: ToolPlan, depth: float, part: Lumen) -> Done[SpectralScattering | str]:
@@ -168,7 +183,8 @@ def build_library(
     finished = [plan for plan in present if seal_of(folder / plan.name) is Seal.INTACT]
     todo = [plan for plan in plans if plan not in finished]
     count = count_of(workers)
-    costs = [_cost(plan) for plan in todo]
+    parts = [parts_of(plan) for plan in todo]
+    costs = [_cost(plan, own) for plan, own in zip(todo, parts, strict=True)]
     first, settings = plans[0].first, plans[0].settings
     report.title("a library")
     report.rows([
@@ -189,13 +205,15 @@ def build_library(
     if todo:
         with watched_interrupts() as check, report.progress(check) as show:
             totals = {
-                "press": (sum(len(parts_of(plan)) for plan in todo),
-                          sum(cost[0] for cost in costs)),
+                "press": (sum(map(len, parts)), sum(cost[0] for cost in costs)),
                 "scattering": (int(USUAL_DEPTHS * sum(len(p.first) for p in todo)),
                                sum(cost[1] for cost in costs)),
             }  # fmt: skip
             board = Board(totals, count, show)
-            tools = [_Builder(plan, folder, board, report, failed) for plan in todo]
+            tools = [
+                _Builder(plan, own, folder, board, report, failed)
+                for plan, own in zip(todo, parts, strict=True)
+            ]
             try:
                 first_tasks = [task for tool in tools for task in tool.press()]
                 run_with_progress(first_tasks, board, workers=workers, executor=executor)
@@ -210,26 +228,32 @@ def build_library(
     return not failed
 
 
-def _cost(plan: ToolPlan) -> tuple[float, float]:
+def _cost(plan: ToolPlan, parts: Parts) -> tuple[float, float]:
     """Return the expected times in s of a tool's press and of its scattering matrices."""
-    press = len(parts_of(plan)) * _part_cost(plan)
+    press = len(parts) * _part_cost(plan, parts)
     return press, USUAL_DEPTHS * len(plan.first) * spectral_seconds(plan.settings)
 
 
-def _part_cost(plan: ToolPlan) -> float:
+def _part_cost(plan: ToolPlan, parts: Parts) -> float:
     """Return the expected time in s of each part of a tool's press."""
-    return press_seconds(plan.settings, parts_of(plan)[0][-1])
+    return press_seconds(plan.settings, parts[0][-1])
 
 
 class _Builder:
     """Tasks of one tool: the parts of its press, its matrices level by level, and its file."""
 
     def __init__(
-        self, plan: ToolPlan, folder: Path, board: Board, report: Reporter, failed: list[str]
+        self,
+        plan: ToolPlan,
+        parts: Parts,
+        folder: Path,
+        board: Board,
+        report: Reporter,
+        failed: list[str],
     ) -> None:
-        self.plan, self.folder, self.board, self.report = plan, folder, board, report
+        self.plan, self.parts, self.folder = plan, parts, folder
+        self.board, self.report = board, report
         self.failed, self.given_up = failed, False
-        self.parts = parts_of(plan)
         self.pressed: dict[int, PressRows] = {}
         self.path: DepthPath | None = None
         self.refinement = Refinement(plan.tolerance, plan.first)
@@ -241,7 +265,7 @@ class _Builder:
 
     def _part(self, number: int) -> Task:
         """Return the task of a part of the press; the last one to end goes on."""
-        cost = _part_cost(self.plan)
+        cost = _part_cost(self.plan, self.parts)
 
         def then(done: Done[PressRows]) -> list[Task]:
             self.board.count("press", cost, reused=done.reused)
@@ -257,7 +281,7 @@ class _Builder:
 
     def _sound(self, press: PressRows) -> list[Task]:
         """Return the tasks that compute the scattering at the first depths of a press."""
-        settings, (arrays, stopped) = self.plan.settings, press
+        arrays, stopped = press
         reached = [d for d in self.plan.first if d <= arrays["depth"][-1] * (1 + 1e-9)]
         if stopped:
             last, wanted = MM * arrays["depth"][-1], MM * self.plan.pressed[-1]
@@ -266,12 +290,7 @@ class _Builder:
             )
         if len(reached) < FEWEST_DEPTHS:
             return self._give_up(f"too few depths were reached ({stopped})")
-        self.path = DepthPath(
-            restored(
-                settings.tube, settings.indenter, arrays, support=settings.support,
-                layer=settings.layer, mesh=settings.mesh,
-            )
-        )  # fmt: skip
+        self.path = path_of(self.plan, arrays)
         self.refinement = Refinement(self.plan.tolerance, reached)
         return self._scatter(reached)
 
