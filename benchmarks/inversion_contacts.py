@@ -353,7 +353,7 @@ def arguments():
         "true forces differ at random by as much",
     )
     parser.add_argument(
-        "--bore", type=float, default=0.0, help="told standard deviation of the bore, in per cent"
+        "--bore", type=float, default=1.0, help="told standard deviation of the bore, in per cent"
     )
     parser.add_argument(
         "--places", type=float, nargs=2, default=PLACES, help="range of a single press's place in m"
@@ -461,7 +461,7 @@ def main():
     if given.config is not None:
         words.append(given.config.stem)
     others = (
-        ("shore", 0.0, "Shore A"), ("modulus", 0.0, "% modulus"), ("bore", 0.0, "% bore"),
+        ("shore", 0.0, "Shore A"), ("modulus", 0.0, "% modulus"), ("bore", 1.0, "% bore"),
         ("loops", 9.0, "loops"), ("ends", 1, "ends"),
     )  # fmt: skip
     told = [(getattr(given, one), usual, unit) for one, usual, unit in others]

@@ -270,7 +270,7 @@ def test_inversion_follows_the_band_of_the_drive(sensor):
         record([press(5.03e-3, 0.8, frequency)], silent, n_cycles=1)["signal"].values
     )
     place, depth = np.array([[0.8]]), np.array([[5.03e-3]])
-    found, _ = ForwardModel(library, base).baseband((0,), place, depth, np.zeros((1, 6)))
+    found, _ = ForwardModel(library, base).baseband((0,), place, depth, np.zeros((1, 7)))
     assert np.abs(found[0] - given).max() < 2e-3 * np.abs(given).max()
     # Compressed: most of the energy lies within 3 / bandwidth of the middle of the echo.
     energy = np.abs(given) ** 2

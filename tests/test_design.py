@@ -210,7 +210,7 @@ def test_bound_is_that_of_the_inversions_jacobian():
         covariance = bound(found, electronics)
     for i, (place, depth) in enumerate(zip(places, depths, strict=True)):
         _, jacobian = model.baseband(
-            (0,), np.array([[place]]), np.array([[depth]]), np.zeros((1, 6))
+            (0,), np.array([[place]]), np.array([[depth]]), np.zeros((1, 7))
         )
         rows = jacobian[0]
         matrix = 2 * (rows.conj() @ rows.T).real / base.noise(1)
@@ -645,7 +645,7 @@ def test_bound_of_two_presses_is_that_of_the_inversions_jacobian():
     for i, place in enumerate(given.place):
         depth = tube.depth_at(np.array([given.force[i], given.force[1 - i]]))
         rows = model.baseband(
-            (0, 0), np.array([[place, place + 0.15]]), depth[None], np.zeros((1, 6))
+            (0, 0), np.array([[place, place + 0.15]]), depth[None], np.zeros((1, 7))
         )[1][0]
         matrix = 2 * (rows.conj() @ rows.T).real / base.noise(1)
         matrix += np.diag(np.concatenate([np.zeros(4), priors.deviations**-2]))

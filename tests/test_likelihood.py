@@ -216,7 +216,7 @@ def test_further_fits_are_judged_only_if_the_first_has_an_error(
     """Three fits of one press, which explains all samples or lacks a second press."""
     places, depths = np.array([[0.6, 1.0]]), np.array([[4e-3, 5e-3]])
     samples = model.baseband(
-        (0,) * presses, places[:, :presses], depths[:, :presses], np.zeros((1, 6))
+        (0,) * presses, places[:, :presses], depths[:, :presses], np.zeros((1, 7))
     )[0][0]
     builder = Builder(model, [], samples, model.base.noise(20))
     start = np.repeat(PRESS[None], 3, axis=0)
@@ -361,7 +361,7 @@ def test_search_finds_nothing_outside_its_range_or_under_its_least_gain(model):
     echo = echo_of(model, (0,), PRESS).value
     whiten = weights(model, model.base.noise(1), 0.0, None)
     templates = Templates(model, 0)
-    silent = front_of(model, (), np.zeros(0), np.zeros(0), np.zeros(6))
+    silent = front_of(model, (), np.zeros(0), np.zeros(0), np.zeros(7))
     found = templates.search(echo, whiten, silent)
     assert found.place[0] == pytest.approx(PRESS[0], abs=1e-3)
     assert not len(templates.search(echo, whiten, silent, least=1.1 * found.gain[0]).gain)
@@ -397,7 +397,7 @@ def test_gain_of_a_candidate_is_the_decrease_of_the_cost(learned):
     out or alias sound later than 5 ms: 3 % of the energy.
     """
     model = model_of(Rangefinder(), learned=learned)
-    templates, quiet = Templates(model, 0), np.zeros((1, 6))
+    templates, quiet = Templates(model, 0), np.zeros((1, 7))
     whiten = weights(model, model.base.noise(1), 0.0, None)
     depths, places = templates.depths[[20, 24]], templates.places[[100, 190]]
     given = [

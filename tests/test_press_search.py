@@ -31,7 +31,7 @@ def model():
 
 def baseband(model, *presses):
     places, depths = np.array(presses).T[:, None]
-    return model.baseband((0,) * len(presses), places, depths, np.zeros((1, 6)))[0][0]
+    return model.baseband((0,) * len(presses), places, depths, np.zeros((1, 7)))[0][0]
 
 
 def test_press_behind_another_is_the_best_candidate_with_a_right_gain(model):
@@ -42,7 +42,7 @@ def test_press_behind_another_is_the_best_candidate_with_a_right_gain(model):
     """
     rest = baseband(model, FIRST, SECOND) - baseband(model, FIRST)
     whiten = weights(model, 1e-4 * np.abs(rest).max() ** 2, 0.0, None)
-    fronts = front_of(model, (0,), np.array([FIRST[0]]), np.array([FIRST[1]]), np.zeros(6))
+    fronts = front_of(model, (0,), np.array([FIRST[0]]), np.array([FIRST[1]]), np.zeros(7))
     found = Templates(model, 0).search(rest, whiten, fronts)
     total = 2 * np.sum(np.abs(whiten(rest)) ** 2)
     assert found.gain[0] < 1.02 * total
@@ -58,7 +58,7 @@ def test_press_behind_another_is_the_best_candidate_with_a_right_gain(model):
 def test_press_beside_a_kept_coarse_place_is_a_candidate(model, monkeypatch, off):
     """A kept coarse place excludes others up to 30 mm away, and the press may be one of them."""
     rest = baseband(model, FIRST, SECOND) - baseband(model, FIRST)
-    fronts = front_of(model, (0,), np.array([FIRST[0]]), np.array([FIRST[1]]), np.zeros(6))
+    fronts = front_of(model, (0,), np.array([FIRST[0]]), np.array([FIRST[1]]), np.zeros(7))
     whiten = weights(model, 1e-4 * np.abs(rest).max() ** 2, 0.0, None)
     monkeypatch.setattr(search, "apart", lambda gain, *_: [int(np.argmax(gain)) + off])
     found = Templates(model, 0).search(rest, whiten, fronts)

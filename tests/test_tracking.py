@@ -105,7 +105,7 @@ def test_update_from_a_wide_prior_is_the_maximum_likelihood(model):
     """Mean and covariance are those of Levenberg and Marquardt's method, with fixed nuisances."""
     samples, noise = model.base.of_cycles(counts([(0.7, 4e-3)])[None])
     whiten = weights(model, noise, 0.01, None)
-    start = joined(np.array([[0.7004]]), np.array([[4.05e-3]]), np.zeros((1, 6)))
+    start = joined(np.array([[0.7004]]), np.array([[4.05e-3]]), np.zeros((1, 7)))
     known = maximise(model, (0,), start, samples, whiten, 20)
     deviations = np.concatenate([[1.0, 1.0], model.priors.deviations, [1.0, 1.0]])
     prior = Branches(
@@ -354,7 +354,7 @@ def test_folded_baseband_is_that_of_undersampled_cycles():
     _, voltage = response(placed, dataclasses.replace(FINE, **changes), length=LENGTH)
     given, _ = base.of_cycles(digitise(voltage[::3].copy(), silent, np.array([0]), 3))
     place, depth = np.array([[0.8]]), np.array([[5.03e-3]])
-    found, _ = ForwardModel(Library((tool(),)), base).baseband((0,), place, depth, np.zeros((1, 6)))
+    found, _ = ForwardModel(Library((tool(),)), base).baseband((0,), place, depth, np.zeros((1, 7)))
     # As at 200 kHz, by the side lobes of the taper.
     assert np.abs(found[0] - given).max() < 5e-3 * np.abs(given).max()
     assert not given.imag.any()

@@ -165,14 +165,14 @@ def test_jacobian_of_a_wrapped_tube_is_that_of_differences(model, places):
     """The reference is fourth-order differences."""
     m = len(places)
     presses = np.column_stack([np.array(places) + 3e-3, [4.31e-3, 5.13e-3][:m]])
-    start = np.concatenate([np.ravel(presses), [0.13, 0.02, -0.03, 4e-4, 0.01, 7e-4]])
+    start = np.concatenate([np.ravel(presses), [0.13, 0.02, -0.03, 4e-4, 0.01, 7e-4, 2e-3]])
 
     def value(parameters):
         p = parameters[None]
         return model.baseband((0,) * m, p[:, : 2 * m : 2], p[:, 1 : 2 * m : 2], p[:, 2 * m :])
 
     jacobian = value(start)[1][0]
-    steps = [1e-6, 1e-6] * m + [1e-3, 1e-3, 1e-3, 1e-6, 1e-3, 1e-6]
+    steps = [1e-6, 1e-6] * m + [1e-3, 1e-3, 1e-3, 1e-6, 1e-3, 1e-6, 1e-6]
     for i, step in enumerate(steps):
         e = step * np.eye(len(start))[i]
         far, near = (value(start + s * e)[0][0] - value(start - s * e)[0][0] for s in (2, 1))
@@ -238,7 +238,7 @@ def test_modelled_far_end_behind_a_press_on_an_arm_is_the_recorded_one():
     free = record(bends, rangefinder, **tube)["signal"].values
     model = ForwardModel(Library((tool(),)), base, measured_clutter(base, free))
     place, depth = np.array([[0.9]]), np.array([[5e-3]])
-    modelled = model.baseband((0,), place, depth, np.zeros((1, 6)))[0][0]
+    modelled = model.baseband((0,), place, depth, np.zeros((1, 7)))[0][0]
     late = base.path.place_at(base.window) > 2.4
     assert np.linalg.norm((pressed - alone)[late]) > 0.3 * np.linalg.norm(alone[late])
     off = np.linalg.norm((pressed - modelled)[late])

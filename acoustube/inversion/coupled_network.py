@@ -83,7 +83,10 @@ def coupled_echo(
         stretched += stretch
         heated += warmed
         left, right = next_left, next_right
-    return Echo(value, np.stack(by_place, axis=1), np.stack(by_depth, axis=1), heated, stretched)
+    return Echo(
+        value, np.stack(by_place, axis=1), np.stack(by_depth, axis=1), heated, stretched,
+        np.zeros_like(value),
+    )  # fmt: skip
 
 
 def _at_face(

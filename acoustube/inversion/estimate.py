@@ -84,9 +84,10 @@ class Inversion:
         between 1 and 2.
     residual_span : (float, float)
         First and last distance in m whose echoes arrive in that part.
-    temperature, gain, stretch : Estimate
+    temperature, gain, stretch, bore : Estimate
         Difference of the air's temperature from the model's in K, logarithm of the gain relative to
-        the model's, and relative change of the frequency at which the presses' scattering is taken.
+        the model's, relative change of the frequency at which the presses' scattering is taken, and
+        relative difference of the bore's diameter from the library's.
     number : dict of float
         Probability of each number of presses that was tried.
     hypotheses : list of Hypothesis
@@ -111,6 +112,7 @@ class Inversion:
     temperature: Estimate
     gain: Estimate
     stretch: Estimate
+    bore: Estimate
     number: dict[int, float]
     hypotheses: list[Hypothesis]
     place: Array
@@ -267,7 +269,8 @@ class Inverter:
         order = np.argsort(off.level)
         best = replace(best, fits=best.fits.at(order))
         chain = [*chain[:number], best, *chain[number + 1 :]]
-        posterior = Posterior(best, Discrepancy(off.level[order], off.deviation[order]))
+        off = Discrepancy(off.level[order], off.deviation[order])
+        posterior = Posterior(best, off)
         contacts = []
         for i, tool in enumerate(best.tools):
             place = best.best[2 * i]
@@ -280,7 +283,7 @@ class Inverter:
                 Contact(
                     probability=float(sum(seen)),
                     distance=posterior.estimate(2 * i, self.model.scale_error(place)),
-                    depth=posterior.estimate(2 * i + 1),
+                    depth=posterior.depth(2 * i + 1),
                     force=posterior.mapped(
                         2 * i + 1, known.force_at, partial(self.model.priors.force_deviation, known)
                     ),
@@ -289,7 +292,7 @@ class Inverter:
             )
         nuisance = {
             name: posterior.estimate(2 * len(best.tools) + NUISANCES.index(name))
-            for name in ("temperature", "gain", "stretch")
+            for name in ("temperature", "gain", "stretch", "bore")
         }
         measured, explained = self._echoes(best, builder)
         base, misfit = self.model.base, float("nan")

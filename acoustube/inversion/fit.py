@@ -54,7 +54,7 @@ class Fits:
     ----------
     parameters : ndarray
         Place and depth in m of each press in turn, then the nuisance parameters,
-        (n, 2 n_presses + 6).
+        (n, 2 n_presses + 7).
     cost : ndarray
         Minus twice the logarithm of the likelihood times the prior of the nuisance parameters, up
         to a constant, (n,).
@@ -115,7 +115,7 @@ def maximise(
     tools : tuple of int
         Number of the tool of each press.
     start : ndarray
-        Parameters, (n, 2 n_presses + 6).
+        Parameters, (n, 2 n_presses + 7).
     samples : ndarray
         Baseband of the cycles in counts, (n_time,).
     whiten : Weights

@@ -118,7 +118,7 @@ class Builder:
     quiet : Weights
         Weights without an error of the model.
     start : ndarray
-        Initial nuisance parameters, (6,).
+        Initial nuisance parameters, (7,).
     """
 
     def __init__(

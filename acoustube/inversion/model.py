@@ -20,12 +20,16 @@ from acoustube.inversion.network import Echo, Waves, echo
 from acoustube.inversion.tables import MOST_MODES, FrontCoefficients, Matrices, table_of
 from acoustube.inversion.tools import Library, Tool
 from acoustube.inversion.wrap import WrappedPath
+from acoustube.waves.modes import bessel_zero
+from acoustube.waves.modes.grid_modes import mode_numbers
 from acoustube.waves.scattering import Complex
 
-NUISANCES = "temperature", "gain", "phase", "resonance", "quality_factor", "stretch"
+NUISANCES = "temperature", "gain", "phase", "resonance", "quality_factor", "stretch", "bore"
 """Names of the nuisance parameters, in their order in parameter vectors after places and depths."""
 SAME_BORE = 0.005
 """Largest allowed relative difference of the bores of library and baseband."""
+LEAST = 1e-9
+"""Standard deviation of a nuisance parameter that is stated as 0."""
 BAND_MARGIN = 0.01
 """Fraction of a frequency by which a library's band must exceed the baseband's at each end."""
 
@@ -43,10 +47,10 @@ class Priors:
     phase : float
         Phase of the gain in rad. Default 0.05.
     resonance, quality_factor : float
-        Relative deviations of the transducer's parameters. Defaults 0.001 and 0.03.
+        Relative deviations of the transducer's parameters. Defaults 0.005 and 0.03.
     stretch : float
         Relative change of the frequency at which the presses' scattering is evaluated, for errors
-        of the bore and of the solver. Default 0.002.
+        of the solver. Default 0.002.
     losses : float
         Relative imaginary part of that frequency, for errors of the losses, which make trapped
         sound decay faster or slower. The value is the rms of a complex error, whose distribution is
@@ -61,8 +65,9 @@ class Priors:
         0.018 mm, those between two meshes and solvers; 0 for none.
     bore : float
         Relative deviation of the bore's diameter from that of the library. A press of a wider bore
-        has the echo of a press that is shallower in proportion, which no recording shows either.
-        Default 0; 0.01, for example, for an extruded tube.
+        has, at higher frequencies, the echo of a press that is shallower in proportion, and modes
+        other than the plane wave propagate faster along the tube. Default 0.01; 0 for a bore that
+        is known.
     length : float
         Deviation of the tube's length in m, used with a rangefinder at each end. Default 2 mm.
     modulus : float
@@ -79,20 +84,20 @@ class Priors:
     temperature: float = 0.3
     gain: float = 0.05
     phase: float = 0.05
-    resonance: float = 1e-3
+    resonance: float = 5e-3
     quality_factor: float = 0.03
     stretch: float = 2e-3
     losses: float = 4e-4
     thermometer: float = 0.1
     place: float = 0.03e-3
     depth: float = 0.018e-3
-    bore: float = 0.0
+    bore: float = 0.01
     length: float = 2e-3
     modulus: float = 0.0
 
     def __post_init__(self) -> None:
         """Check that all deviations are within their ranges."""
-        rules = dict.fromkeys(NUISANCES, Number(1e-9, 100.0))
+        rules = dict.fromkeys(NUISANCES[:-1], Number(1e-9, 100.0))
         offset, share = Number(0, 0.01, "m"), Number(0, 0.1)
         check_fields(
             self, **rules, thermometer=Number(0, 100.0, "K"), place=offset, depth=offset,
@@ -102,7 +107,7 @@ class Priors:
     @property
     def deviations(self) -> Array:
         """Standard deviations of the nuisance parameters, in the order of :data:`NUISANCES`."""
-        return np.array([getattr(self, name) for name in NUISANCES])
+        return np.array([max(getattr(self, name), LEAST) for name in NUISANCES])
 
     def offsets(self, depths: Array) -> Array:
         """Return the standard deviations of place and depth relative to the library's presses.
@@ -117,9 +122,7 @@ class Priors:
         ndarray
             In m, for place and depth of each press in turn, (n, 2 n_presses).
         """
-        found = np.empty((len(depths), 2 * depths.shape[1]))
-        found[:, ::2], found[:, 1::2] = self.place, np.hypot(self.depth, self.bore * depths)
-        return found
+        return np.tile([self.place, self.depth], depths.shape)
 
     def force_deviation(self, tool: Tool, depths: Array) -> Array:
         """Return the standard deviation in N of a tool's force at depths in m, (n,)."""
@@ -139,6 +142,8 @@ class ForwardModel:
 
     Attributes
     ----------
+    transverse : ndarray
+        Transverse wavenumbers of the modes in 1/m, (m,).
     path : Path
         Propagation along the tube.
     span : (float, float)
@@ -149,6 +154,9 @@ class ForwardModel:
         Relative change of the frequency at which the presses' scattering is evaluated, at the
         temperature of `base`: the ratio of the library's speed of sound to that of the air, less 1;
         and its derivative by temperature in 1/K.
+    stretches : (float, float)
+        Least and largest sum of the nuisance parameters `stretch` and `bore` that the tables cover
+        at that temperature.
 
     Raises
     ------
@@ -176,7 +184,12 @@ class ForwardModel:
         self.stretch = speed - 1
         self.stretch_by_temperature = -speed * base.speed_by_temperature / base.speed
         self.tables = [table_of(tool, base.frequency.tobytes(), modes) for tool in library.tools]
+        covered = np.array([one.stretches for one in self.tables]) - self.stretch
+        self.stretches = float(covered[:, 0].max()), float(covered[:, 1].min())
         self.modes = modes
+        self.transverse = np.array(
+            [bessel_zero(*mode_numbers(name)) / library.radius for name in library.modes[:modes]]
+        )
         self.path = base.path
         self.span = self.path.span(base.nearest, base.length)
 
@@ -192,7 +205,7 @@ class ForwardModel:
         places, depths : ndarray
             In m, (n, n_presses); the places of each set are in rising order.
         nuisances : ndarray
-            Nuisance parameters in the order of :data:`NUISANCES`, (n, 6).
+            Nuisance parameters in the order of :data:`NUISANCES`, (n, 7).
 
         Returns
         -------
@@ -200,7 +213,7 @@ class ForwardModel:
             Baseband in counts, (n, n_time).
         jacobian : ndarray
             Derivatives by place and depth of each press in turn, then by the nuisance parameters,
-            in single precision, (n, 2 n_presses + 6, n_time).
+            in single precision, (n, 2 n_presses + 7, n_time).
         """
         base, clutter = self.base, self.clutter
         if places.shape[1]:
@@ -219,7 +232,7 @@ class ForwardModel:
     ) -> tuple[Complex, Complex]:
         """Return recorded spectra in counts s, and derivatives, of presses and clutter.
 
-        Their shapes are (n, n_f) and, in single precision, (n, 2 n_presses + 6, n_f).
+        Their shapes are (n, n_f) and, in single precision, (n, 2 n_presses + 7, n_f).
         """
         from acoustube.inversion.recorded_sums import add_clutter, recorded  # imports Numba
 
@@ -227,8 +240,8 @@ class ForwardModel:
         nuisances = np.ascontiguousarray(nuisances)  # views would be compiled for anew
         temperature = nuisances[:, 0].copy()
         warming = self.stretch_by_temperature
-        stretch = self.stretch + warming * temperature + nuisances[:, 5]
-        found, matrices = self._echo(tools, places, depths, temperature, stretch)
+        stretch = self.stretches_of(nuisances)
+        found, matrices = self._echo(tools, places, depths, nuisances, stretch)
         transducer = base.rangefinder.resonance, base.rangefinder.quality_factor
         value, slopes = recorded(*found, nuisances, base.frequency, base.sent, transducer, warming)
         if self.clutter.behind is not None:
@@ -257,34 +270,40 @@ class ForwardModel:
             Derivative in counts, (n, n_time). Since scattering is analytic in frequency, it is the
             derivative by `stretch` with the spectrum multiplied by the imaginary unit.
         """
-        temperature = nuisances[:, 0].copy()  # a view would be compiled for anew
-        stretch = self.stretch + self.stretch_by_temperature * temperature + nuisances[:, 5]
-        found, _ = self._echo(tools, places, depths, temperature, stretch)
+        stretch = self.stretches_of(nuisances)
+        found, _ = self._echo(tools, places, depths, nuisances, stretch)
         factor = self.base.press_gain(nuisances[:, 3:5])
         turn = np.exp(nuisances[:, 1] + 1j * nuisances[:, 2])[:, None]
         return self.base.transformed(1j * factor * turn * found.by_stretch)
 
+    def stretches_of(self, nuisances: Array) -> Array:
+        """Return the changes of the frequency of the presses' scattering, (n,), for nuisances."""
+        by_warmth = self.stretch_by_temperature * nuisances[:, 0]
+        return np.asarray(self.stretch + by_warmth + nuisances[:, 5] + nuisances[:, 6])
+
     def _echo(
-        self, tools: tuple[int, ...], places: Array, depths: Array, temperature: Array,
+        self, tools: tuple[int, ...], places: Array, depths: Array, nuisances: Array,
         stretch: Array,
     ) -> tuple[Echo, Sequence[Matrices | FrontCoefficients | Joined]]:  # fmt: skip
         """Return the echo at the face, and the scattering of the presses in the path's modes."""
         base, path = self.base, self.path
+        temperature, widening = np.ascontiguousarray(nuisances[:, [0, 6]].T)  # views: see above
         face = base.rangefinder.face_reflection
         whole = tools if path.converts else tools[:-1]
         given = [self.tables[tool](depths[:, i], stretch) for i, tool in enumerate(whole)]
         if not path.converts:
-            heat = base.k_by_temperature[:, : self.modes]
-            waves = Waves(base.k[:, : self.modes], heat)
+            m = self.modes
+            waves = Waves(base.k[:, :m], base.k_by_temperature[:, :m], self.transverse)
             last = self.tables[tools[-1]].front(depths[:, -1], stretch)
-            return echo(given, last, places, temperature, waves, face), [*given, last]
+            found = echo(given, last, places, temperature, widening, waves, face)
+            return found, [*given, last]
         assert isinstance(path, WrappedPath)
         presses = [path.joined(one, places[:, i], temperature) for i, one in enumerate(given)]
         sections, entry = path.sections(places, temperature), path.entry(temperature)
         return coupled_echo(presses, sections, face, entry), presses
 
     def without_presses(self, nuisances: Array) -> Complex:
-        """Return the untouched tube's baseband in counts, (n, n_time), for nuisances (n, 6)."""
+        """Return the untouched tube's baseband in counts, (n, n_time), for nuisances (n, 7)."""
         empty = np.zeros((len(nuisances), 0))
         return self.baseband((), empty, empty, nuisances)[0]
 

@@ -1,7 +1,7 @@
 """Gaussian-sum filter of contacts: prediction between cycles, and update by a cycle.
 
-The state vector of m contacts has 4 m + 6 components: position and depth of each contact in turn,
-the six nuisance parameters, and the velocities of position and of depth of each contact in turn.
+The state vector of m contacts has 4 m + 7 components: position and depth of each contact in turn,
+the seven nuisance parameters, and the velocities of position and of depth of each contact in turn.
 Its distribution is a mixture of normal distributions, the branches, which all have the same
 contacts with the same tools.
 
@@ -91,9 +91,9 @@ class Branches:
         Index in the library of the tool of each contact, in the order along the tube.
     mean : ndarray
         Mean in each of n branches of the state, which holds position and depth of each contact,
-        nuisance parameters, and velocities of position and depth, (n, 4 n_contacts + 6).
+        nuisance parameters, and velocities of position and depth, (n, 4 n_contacts + 7).
     covariance : ndarray
-        Covariance of the state in each branch, (n, 4 n_contacts + 6, 4 n_contacts + 6).
+        Covariance of the state in each branch, (n, 4 n_contacts + 7, 4 n_contacts + 7).
     level : ndarray
         Logarithm of each branch's weight relative to the largest weight, (n,).
     """
@@ -217,7 +217,7 @@ class Update:
     rest : ndarray
         Residual of the cycle in the baseband, in counts, (n, n_time).
     slopes : ndarray
-        Whitened Jacobian by the 2 n_contacts + 6 parameters, which exclude the velocities,
+        Whitened Jacobian by the 2 n_contacts + 7 parameters, which exclude the velocities,
         (n, n_parameters, n_time).
     information : ndarray
         Fisher information of the parameters in this cycle alone, (n, n_parameters, n_parameters).

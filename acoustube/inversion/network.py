@@ -36,6 +36,9 @@ class Echo(NamedTuple):
     by_stretch : ndarray
         Derivative by the stretch of frequency in the presses' matrices, per relative change of
         frequency, (n, n_f).
+    by_bore : ndarray
+        Derivative by the bore between the presses, per relative change, (n, n_f); zero on a wrapped
+        tube.
     """
 
     value: Complex
@@ -43,21 +46,30 @@ class Echo(NamedTuple):
     by_depth: Complex
     by_temperature: Complex
     by_stretch: Complex
+    by_bore: Complex
 
 
 class Waves(NamedTuple):
-    """Axial wavenumbers of the modes in 1/m, (n_f, m), and their derivatives by temperature.
+    """Wavenumbers of the modes at the nominal temperature and bore.
 
-    The wavenumbers are those at the nominal temperature; the derivatives are in 1/(m K), (n_f, m).
+    Attributes
+    ----------
+    k : ndarray
+        Axial wavenumbers in 1/m, (n_f, m).
+    by_temperature : ndarray
+        Their derivatives by temperature in 1/(m K), (n_f, m).
+    transverse : ndarray
+        Transverse wavenumbers in 1/m, (m,).
     """
 
     k: Complex
     by_temperature: Complex
+    transverse: Array
 
 
 def echo(
     before: list[Matrices], last: FrontCoefficients, places: Array, temperature: Array,
-    waves: Waves, face: complex,
+    widening: Array, waves: Waves, face: complex,
 ) -> Echo:  # fmt: skip
     """Return the echo of presses at the face of the source.
 
@@ -71,6 +83,9 @@ def echo(
         Distances of the presses from the face in m, rising, (n, n_presses).
     temperature : ndarray
         Deviations of the temperature from the nominal one in K, (n,).
+    widening : ndarray
+        Relative deviations of the bore from the nominal one, (n,). They change the propagation of
+        modes other than the plane one between the presses.
     waves : Waves
     face : complex
         Reflection coefficient of the face for all modes.
@@ -88,16 +103,17 @@ def echo(
     missing = MOST_MODES - waves.k.shape[-1]
     k, heat = (
         np.pad(one, [(0, 0), (0, missing)]) if missing else np.ascontiguousarray(one)
-        for one in waves
+        for one in waves[:2]
     )
+    transverse = np.pad(waves.transverse, (0, missing))
     shape = len(places), len(k)
     matrices = (_stacked([press[i] for press in before], shape) for i in range(3))
-    value, by_length, by_depth, heated, stretched = echoes(
-        *matrices, *last, lengths, temperature, k, heat, complex(face)
+    value, by_length, by_depth, *others = echoes(
+        *matrices, *last, lengths, temperature, widening, k, heat, transverse, complex(face)
     )
     # A place is the end of its own section and the start of the next.
     following = np.concatenate([by_length[:, 1:], np.zeros_like(by_length[:, :1])], axis=1)
-    return Echo(value, by_length - following, by_depth, heated, stretched)
+    return Echo(value, by_length - following, by_depth, *others)
 
 
 def _stacked(parts: list[Complex], shape: tuple[int, ...]) -> Complex:

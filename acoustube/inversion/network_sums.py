@@ -32,12 +32,23 @@ from acoustube.waves.scattering import Complex
 
 
 @compiled
-def _warmed(k: Complex, heat: Complex, warmer: float) -> Vector:
-    """Return wavenumbers (3,) in 1/m at a temperature `warmer` K above the nominal one.
+def _wavenumber(
+    k: complex, heat: complex, transverse: float, warmer: float, wider: float
+) -> Vector:
+    """Return a mode's wavenumber in 1/m and its derivatives by temperature and width of the bore.
 
-    `k` are those at the nominal temperature, and `heat` their derivatives by temperature.
+    The temperature is `warmer` K above the nominal one, and the bore wider by the ratio `wider`.
+    `k` is the nominal wavenumber, `heat` its derivative by temperature, and `transverse` the mode's
+    transverse wavenumber in the nominal bore. The derivatives are in 1/(m K), and in 1/m per
+    relative change of the bore.
     """
-    return k[0] + warmer * heat[0], k[1] + warmer * heat[1], k[2] + warmer * heat[2]
+    nominal = k + warmer * heat
+    if transverse == 0:
+        return nominal, heat, 0j
+    # k^2 + q^2 / (1 + b)^2 does not depend on the relative change b of the bore.
+    ratio = 1 / (1 + wider)
+    found = np.sqrt(nominal * nominal + transverse**2 * (1 - ratio**2))
+    return found, heat * nominal / found, transverse**2 * ratio**3 / found
 
 
 @compiled
@@ -62,10 +73,10 @@ def _moved(change: Complex, left: Vector, right: Vector, out: Vector, into: Vect
 @numba.njit(**OPTIONS)
 def echoes(
     s: Complex, s_depth: Complex, s_stretch: Complex, last: Complex, last_depth: Complex,
-    last_stretch: Complex, lengths: Array, temperature: Array, k: Complex, heat: Complex,
-    face: complex,
-) -> tuple[Complex, Complex, Complex, Complex, Complex]:  # fmt: skip
-    """Return the echo and its derivatives by lengths, depths, temperature and stretch.
+    last_stretch: Complex, lengths: Array, temperature: Array, widening: Array, k: Complex,
+    heat: Complex, transverse: Array, face: complex,
+) -> tuple[Complex, Complex, Complex, Complex, Complex, Complex]:  # fmt: skip
+    """Return the echo and its derivatives by lengths, depths, temperature, stretch and bore.
 
     Parameters
     ----------
@@ -79,10 +90,14 @@ def echoes(
         Lengths of the straight tube before each press in m, (n, n_presses).
     temperature : ndarray
         Deviations of the temperature from the nominal one in K, (n,).
+    widening : ndarray
+        Relative deviations of the bore from the nominal one between the presses, (n,).
     k : ndarray
-        Wavenumbers at the nominal temperature in 1/m, (n_f, 3).
+        Wavenumbers at the nominal temperature and bore in 1/m, (n_f, 3).
     heat : ndarray
         Their derivatives by temperature in 1/(m K), (n_f, 3).
+    transverse : ndarray
+        Transverse wavenumbers in the nominal bore in 1/m, (3,).
     face : complex
         Reflection coefficient of the face for all modes.
 
@@ -90,18 +105,26 @@ def echoes(
     -------
     tuple of ndarray
         Echo, (n, n_f); derivatives by lengths and depths, (n, n_presses, n_f) each; derivatives by
-        temperature and stretch, (n, n_f) each.
+        temperature, by stretch and, between the presses, by widening, (n, n_f) each.
     """
     (n, p), n_f = lengths.shape, len(k)
     value = np.empty((n, n_f), np.complex128)
     lengthened, deepened = np.empty((2, n, p, n_f), np.complex128)
-    heated, stretched = np.zeros((2, n, n_f), np.complex128)
+    heated, stretched, widened = np.zeros((3, n, n_f), np.complex128)
     load, loop = np.empty((2, p, 9), np.complex128)
     path = np.empty((p, 3), np.complex128)
     for a in range(n):
         for f in range(n_f):
-            warm = heat[f, 0], heat[f, 1], heat[f, 2]
-            wave = _warmed(k[f], heat[f], temperature[a])
+            k0, warm0, wide0 = _wavenumber(
+                k[f, 0], heat[f, 0], transverse[0], temperature[a], widening[a]
+            )
+            k1, warm1, wide1 = _wavenumber(
+                k[f, 1], heat[f, 1], transverse[1], temperature[a], widening[a]
+            )
+            k2, warm2, wide2 = _wavenumber(
+                k[f, 2], heat[f, 2], transverse[2], temperature[a], widening[a]
+            )
+            wave, warm, wide = (k0, k1, k2), (warm0, warm1, warm2), (wide0, wide1, wide2)
             for i in range(p):
                 for c in range(3):
                     path[i, c] = _propagation(lengths[a, i], wave[c])
@@ -130,6 +153,7 @@ def echoes(
                 both = plus(each(left, apply(seen, right)), each(apply_left(left, seen), right))
                 lengthened[a, i, f] = -1j * dot(wave, both)
                 heated[a, f] -= 1j * lengths[a, i] * dot(warm, both)
+                widened[a, f] -= 1j * lengths[a, i] * dot(wide, both)
                 way = path[i, 0], path[i, 1], path[i, 2]
                 left, right = each(left, way), each(way, right)
                 if i == p - 1:
@@ -144,4 +168,4 @@ def echoes(
                     deepened[a, i, f] = _moved(s_depth[i, a, f], left, right, out, into)
                     stretched[a, f] += _moved(s_stretch[i, a, f], left, right, out, into)
                     left, right = onwards, plus(sent, apply(block(one, 1, 1), into))
-    return value, lengthened, deepened, heated, stretched
+    return value, lengthened, deepened, heated, stretched, widened

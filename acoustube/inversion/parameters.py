@@ -1,6 +1,6 @@
 """Parameter vectors of presses, their bounds, and the prior odds of a press.
 
-A vector has 2 n_presses + 6 components: place and depth in m of each press in turn, then the six
+A vector has 2 n_presses + 7 components: place and depth in m of each press in turn, then the seven
 nuisance parameters of :data:`acoustube.inversion.model.NUISANCES`.
 """
 
@@ -25,23 +25,23 @@ real second press, in 20 cycles with two presses."""
 
 
 def split(parameters: Array) -> tuple[Array, Array, Array]:
-    """Return views of parameter vectors: places, depths (n, n_presses) and nuisances (n, 6)."""
+    """Return views of parameter vectors: places, depths (n, n_presses) and nuisances (n, 7)."""
     m = (parameters.shape[1] - len(NUISANCES)) // 2
     return parameters[:, : 2 * m : 2], parameters[:, 1 : 2 * m : 2], parameters[:, 2 * m :]
 
 
 def joined(places: Array, depths: Array, nuisances: Array) -> Array:
-    """Return parameter vectors from places, depths (n, n_presses) and nuisances (n, 6)."""
+    """Return parameter vectors from places, depths (n, n_presses) and nuisances (n, 7)."""
     presses = np.stack([places, depths], axis=-1).reshape(len(places), -1)
     return np.concatenate([presses, nuisances], axis=1)
 
 
 def bounded(model: ForwardModel, tools: tuple[int, ...], parameters: Array) -> Array:
-    """Return a copy of parameter vectors within bounds, (n, 2 n_presses + 6).
+    """Return a copy of parameter vectors within bounds, (n, 2 n_presses + 7).
 
     Places and depths are clipped to the ranges of the model, nuisances to six prior standard
-    deviations. Then places are raised until successive presses are :data:`CLOSEST` apart, if
-    necessary beyond the far end of their range.
+    deviations, and the bore also to the range of the tables. Then places are raised until
+    successive presses are :data:`CLOSEST` apart, if necessary beyond the far end of their range.
     """
     places, depths, nuisances = split(np.array(parameters))
     for i, tool in enumerate(tools):
@@ -50,7 +50,10 @@ def bounded(model: ForwardModel, tools: tuple[int, ...], parameters: Array) -> A
             places[:, i] = np.maximum(places[:, i], places[:, i - 1] + CLOSEST)
         depths[:, i] = np.clip(depths[:, i], *model.tables[tool].range)
     limit = 6 * model.priors.deviations
-    return joined(places, depths, np.clip(nuisances, -limit, limit))
+    nuisances = np.clip(nuisances, -limit, limit)
+    low, high = (end - nuisances[:, -2] for end in model.stretches)
+    nuisances[:, -1] = np.clip(nuisances[:, -1], low, high)
+    return joined(places, depths, nuisances)
 
 
 def limited(step: Array) -> Array:

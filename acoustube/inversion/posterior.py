@@ -71,10 +71,11 @@ class Posterior:
         fits = hypothesis.fits
         inflation = max(1.0, hypothesis.mean_square)
         n = fits.parameters.shape[1]
-        covariance = np.linalg.inv(fits.information + 1e-12 * np.eye(n))
+        covariance: Array = np.asarray(np.linalg.inv(fits.information + 1e-12 * np.eye(n)), float)
         self.mean = fits.parameters
         self.variance = inflation * np.maximum(np.einsum("nii->ni", covariance), 0.0)
         self.variance[:, : off.deviation.shape[1]] += off.deviation**2
+        self.covariance_with_bore = inflation * covariance[:, -1]
         self.weight = np.exp(-0.5 * (off.level - off.level.min()) / inflation)
         self.weight /= self.weight.sum()
 
@@ -85,6 +86,17 @@ class Posterior:
         """
         deviation = np.sqrt(self.variance[:, parameter] + error**2)
         return mixture(self.weight, self.mean[:, parameter], deviation)
+
+    def depth(self, parameter: int) -> Estimate:
+        """Return the marginal distribution of the depth with index `parameter` in the tube's bore.
+
+        See :func:`in_own_bore`.
+        """
+        mean, deviation = in_own_bore(
+            self.mean[:, [parameter, -1]], self.variance[:, [parameter, -1]],
+            self.covariance_with_bore[:, parameter],
+        )  # fmt: skip
+        return mixture(self.weight, mean, deviation)
 
     def mapped(
         self,
@@ -109,6 +121,24 @@ class Posterior:
         slope = function(mean, 1)
         deviation = np.hypot(slope * np.sqrt(self.variance[:, parameter]), error(mean))
         return mixture(self.weight, function(mean, 0), deviation)
+
+
+def in_own_bore(mean: Array, variance: Array, covariance: Array) -> tuple[Array, Array]:
+    """Return mean and standard deviation in m of depths in the tube's bore, (n,) each.
+
+    A depth of the library belongs to the library's bore. In a wider bore, the press with the same
+    echo is deeper in proportion.
+
+    Parameters
+    ----------
+    mean, variance : ndarray
+        Means and variances of the depth in m and of the relative deviation of the bore, (n, 2).
+    covariance : ndarray
+        Covariance of both, (n,).
+    """
+    depth, ratio = mean[:, 0], 1 + mean[:, 1]
+    spread = ratio**2 * variance[:, 0] + 2 * ratio * depth * covariance + depth**2 * variance[:, 1]
+    return ratio * depth, np.sqrt(np.maximum(spread, 0.0))
 
 
 def mixture(weight: Array, mean: Array, deviation: Array) -> Estimate:

@@ -4,7 +4,7 @@ The recorded spectrum is ``exp(g + j p) G H^2 X`` plus the clutter, with the ech
 deviations g and p of gain and phase, the gain G without the transducer's resonance, and the
 transducer's response ``H = 1 / (1 + j Q (f / f0 - f0 / f))``. The loops run frequency by frequency;
 derivatives are in the order of the parameters, place and depth of each press in turn and then the
-six nuisance parameters.
+seven nuisance parameters.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from acoustube.waves.scattering import Complex
 @numba.njit(**OPTIONS)
 def recorded(
     value: Complex, by_place: Complex, by_depth: Complex, by_temperature: Complex,
-    by_stretch: Complex, nuisances: Array, frequency: Array, sent: Complex,
+    by_stretch: Complex, by_bore: Complex, nuisances: Array, frequency: Array, sent: Complex,
     resonator: tuple[float, float], warming: float,
 ) -> tuple[Complex, SingleComplex]:  # fmt: skip
     """Return recorded spectra of echoes and their derivatives by all parameters.
 
     Parameters
     ----------
-    value, by_temperature, by_stretch : ndarray
-        Echo at the face and its derivatives by temperature and by stretch of the frequency in the
-        presses, (n, n_f).
+    value, by_temperature, by_stretch, by_bore : ndarray
+        Echo at the face and its derivatives by temperature, by stretch of the frequency in the
+        presses and by the bore between them, (n, n_f).
     by_place, by_depth : ndarray
         Its derivatives by place and depth of the presses, (n, n_presses, n_f).
     nuisances : ndarray
-        Nuisance parameters, (n, 6).
+        Nuisance parameters, (n, 7).
     frequency : ndarray
         In Hz, (n_f,).
     sent : ndarray
@@ -50,11 +50,11 @@ def recorded(
     ndarray
         Spectra in counts s, (n, n_f).
     ndarray
-        Their derivatives in single precision, (n, 2 n_presses + 6, n_f).
+        Their derivatives in single precision, (n, 2 n_presses + 7, n_f).
     """
     n, p, n_f = by_place.shape
     found = np.empty((n, n_f), np.complex128)
-    slopes = np.empty((n, 2 * p + 6, n_f), np.complex64)
+    slopes = np.empty((n, 2 * p + 7, n_f), np.complex64)
     for a in range(n):
         turn = np.exp(nuisances[a, 1]) * complex(np.cos(nuisances[a, 2]), np.sin(nuisances[a, 2]))
         resonance = resonator[0] * (1 + nuisances[a, 3])
@@ -77,6 +77,7 @@ def recorded(
             slopes[a, 2 * p + 3, f] = -slope * quality * (here + inverse) * resonator[0] / resonance
             slopes[a, 2 * p + 4, f] = slope * off * resonator[1]
             slopes[a, 2 * p + 5, f] = factor * by_stretch[a, f]
+            slopes[a, 2 * p + 6, f] = factor * (by_stretch[a, f] + by_bore[a, f])
     return found, slopes
 
 
@@ -126,3 +127,4 @@ def add_clutter(
             found[a, f] += gain[f] * total
             slopes[a, 2 * p, f] += gain[f] * (warm + warming * stretched)
             slopes[a, 2 * p + 5, f] += gain[f] * stretched
+            slopes[a, 2 * p + 6, f] += gain[f] * stretched

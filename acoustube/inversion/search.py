@@ -379,10 +379,10 @@ def front_of(
 ) -> list[Front]:
     """Return the waves behind each of several presses, without multiple reflections.
 
-    Places and depths are in m, (n_presses,), and nuisances (6,).
+    Places and depths are in m, (n_presses,), and nuisances (7,).
     """
     path, warm = model.path, nuisances[:1]
-    stretch = model.stretch + model.stretch_by_temperature * warm + nuisances[5:6]
+    stretch = model.stretches_of(nuisances[None])
     _, into, out = at_face(model, float(warm[0]))
     found = []
     for i, section in enumerate(path.sections(places[None], warm)):

@@ -165,6 +165,12 @@ class ToolTable:
         self.slope = CubicSpline(tool.depth, filtered)(tool.depth, 1).astype(np.complex64)
 
     @property
+    def stretches(self) -> tuple[float, float]:
+        """Least and largest relative change of the frequencies that the splines cover."""
+        low, high = self.start + self.step, self.start + (self.count - 2) * self.step
+        return low / float(self.frequency[0]) - 1, high / float(self.frequency[-1]) - 1
+
+    @property
     def range(self) -> tuple[float, float]:
         """Shallowest and deepest depth in m."""
         return float(self.tool.depth[0]), float(self.tool.depth[-1])

@@ -24,7 +24,7 @@ from acoustube.inversion.likelihood import weights
 from acoustube.inversion.model import NUISANCES, ForwardModel
 from acoustube.inversion.motion import Branches, Motion, Update, at_rest
 from acoustube.inversion.parameters import split
-from acoustube.inversion.posterior import Estimate, mixture
+from acoustube.inversion.posterior import Estimate, in_own_bore, mixture
 from acoustube.inversion.proposals import Proposals
 from acoustube.inversion.tracks import FAINT, Track
 from acoustube.waves.scattering import Complex
@@ -210,11 +210,10 @@ class ContactTracker:
         explained = measured - found.rest[0]
         weight = np.exp(best.level)
         weight /= weight.sum()
-        variance = np.einsum("nii->ni", best.covariance)[:, : best.parameters]
-        variance = variance + self._lasting(found)
-        m = len(best.tools)
-        depths = split(best.mean[:, : best.parameters])[1]
-        variance[:, : 2 * m] += model.priors.offsets(depths) ** 2
+        m, p = len(best.tools), best.parameters
+        covariance = best.covariance[:, :p, :p] + self._lasting(found)
+        variance = np.einsum("nii->ni", covariance).copy()
+        variance[:, : 2 * m] += model.priors.offsets(split(best.mean[:, :p])[1]) ** 2
 
         def told(parameter: int, error: float = 0.0) -> Estimate:
             deviation = np.sqrt(variance[:, parameter] + error**2)
@@ -230,9 +229,14 @@ class ContactTracker:
             own = model.priors.force_deviation(known, depth)
             force = mixture(weight, known.force_at(depth), np.hypot(slope, own))
             distance = told(2 * i, self.model.scale_error(places[0, i]))
-            contacts.append(Contact(one.probability, distance, told(2 * i + 1), force, tool))
+            own_depth = in_own_bore(
+                best.mean[:, [2 * i + 1, p - 1]], variance[:, [2 * i + 1, p - 1]],
+                covariance[:, 2 * i + 1, p - 1],
+            )  # fmt: skip
+            told_depth = mixture(weight, *own_depth)
+            contacts.append(Contact(one.probability, distance, told_depth, force, tool))
             numbers.append(one.number)
-        first = 2 * len(best.tools)
+        first = 2 * m
         base, misfit = model.base, np.nan
         if contacts:
             rest = self.quiet(found.rest[0])
@@ -243,12 +247,12 @@ class ContactTracker:
         )  # fmt: skip
 
     def _lasting(self, found: Update) -> Array:
-        """Return the parameters' variance due to errors that are the same in all cycles.
+        """Return the parameters' covariance due to errors that are the same in all cycles.
 
-        Shape (n, n_parameters). Noise averages out over cycles. The errors of model and clutter,
-        and rounding without dither, which are also part of the weights, do not. With the Fisher
-        information I of a cycle, they leave the covariance I^-1 (I - N) I^-1, where N is the
-        covariance of the score that is due to noise alone.
+        Shape (n, n_parameters, n_parameters). Noise averages out over cycles. The errors of model
+        and clutter, and rounding without dither, which are also part of the weights, do not. With
+        the Fisher information I of a cycle, they leave the covariance I^-1 (I - N) I^-1, where N is
+        the covariance of the score that is due to noise alone.
         """
         noise = self.model.base.noise(1) - self.model.base.rounding
         p = found.branches.parameters
@@ -258,4 +262,7 @@ class ContactTracker:
         back = self.track.whiten.adjoint(found.slopes)
         power = (back @ back.conj().swapaxes(1, 2)).real
         own = found.information - 2 / self.model.base.freedom * noise * power
-        return np.maximum(np.einsum("nij,njk,nki->ni", whole, own, whole), 0.0)
+        covariance = np.asarray(whole @ own @ whole)
+        diagonal = np.einsum("nii->ni", covariance)
+        diagonal[:] = np.maximum(diagonal, 0.0)
+        return covariance

@@ -72,8 +72,8 @@ def joined_contacts(
         Length of the tube between both transducers in m.
     library : Library
     priors : Priors
-        ``length`` is the standard deviation of the tube's length. ``depth`` and ``bore`` determine
-        the error of depths that both ends share, ``modulus`` that of forces.
+        ``length`` is the standard deviation of the tube's length. ``depth`` is the error of depths
+        that both ends share, ``modulus`` determines that of forces.
 
     Notes
     -----
@@ -128,8 +128,11 @@ def _product(
     best = replace(min(one, other, key=lambda it: it.distance.deviation), probability=probability)
     if one.tool != other.tool:
         return best, True
-    # The error of the model in depth is the same from both ends.
-    shared = float(priors.offsets(np.array([[one.depth.value]]))[0, 1])
+    # The error of the model in depth is the same from both ends, and that of the force.
+    tool, at = library.tools[one.tool], np.array([one.depth.value])
+    shared = float(priors.offsets(at[None])[0, 1])
+    by_depth = tool.force_at(at, 1) * shared
+    force_shared = float(np.hypot(by_depth, priors.force_deviation(tool, at))[0])
     place, place_spread, place_off, place_weight = _combined(one.distance, other.distance, 0.0)
     depth, depth_spread, depth_off, depth_weight = _combined(one.depth, other.depth, shared)
     if np.min(place_off + depth_off) > CONTRADICTION:
@@ -139,13 +142,12 @@ def _product(
     weight = prior * place_weight * depth_weight * np.exp(-0.5 * (off - off.min()))
     order = np.argsort(-weight, kind="stable")
     order = order[weight[order] > NEGLIGIBLE * weight[order[0]]]
-    share, d = weight[order] / weight[order].sum(), depth[order]
-    tool = library.tools[one.tool]
-    error = np.hypot(tool.force_at(d, 1) * depth_spread[order], priors.force_deviation(tool, d))
+    share = weight[order] / weight[order].sum()
+    force, force_spread, _, _ = _combined(one.force, other.force, force_shared)
     contact = Contact(
         probability=probability, distance=mixture(share, place[order], place_spread[order]),
-        depth=mixture(share, d, depth_spread[order]),
-        force=mixture(share, tool.force_at(d), error), tool=one.tool,
+        depth=mixture(share, depth[order], depth_spread[order]),
+        force=mixture(share, force[order], force_spread[order]), tool=one.tool,
     )  # fmt: skip
     return contact, True
 
