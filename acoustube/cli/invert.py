@@ -119,6 +119,7 @@ def invert(
     from acoustube.runs.contact_table import COLUMNS, note_warnings, rows_of
     from acoustube.runs.libraries.files import open_library
     from acoustube.runs.recordings import opened, read_cycles
+    from acoustube.runs.sensor_check import note_differences
     from acoustube.runs.two_ends import EndsInverter
 
     options = dataclasses.asdict(recording)
@@ -127,7 +128,7 @@ def invert(
     named = untouched, far_end.far_untouched
     free, far_free = (list(read_cycles(paths or [], **options)) for paths in named)
     near = inversion.RecordingInverter(known, own, free, search.most)
-    wanted = _Files(near.tool_library, figure, detection_limits)
+    wanted = _Results(near.tool_library, figure, detection_limits)
     inverter, others = EndsInverter(near, far_free), read_all(far_end.far or [], **options)
     report, failures, n_groups, n_contacts = output.reporter(stderr=out is None), 0, 0, 0
     written: dict[Path, bytes | str] = {}
@@ -147,7 +148,6 @@ def invert(
             except (ConfigError, ValueError) as error:
                 failures += 1
                 failure(about(path, error), "not inverted")
-                wanted.drop()
                 continue
             wanted.keep()
             writer.writerows([*header, *table])
@@ -157,14 +157,20 @@ def invert(
         if failures and not n_groups:
             raise ConfigError("no file could be inverted, and nothing was written; see above")
         written |= wanted.contents()
-    failed = f"; {counted(failures, 'file')} could not be inverted" if failures else ""
-    report.line(f"{counted(n_contacts, 'contact')} in {counted(n_groups, 'group')}{failed}")
+    note_differences(wanted.estimates, own, known, report)
+    report.line(_summary(n_contacts, n_groups, failures))
     return int(failures > 0)
 
 
+def _summary(n_contacts: int, n_groups: int, failures: int) -> str:
+    """Return the numbers of contacts, groups and files that could not be inverted, as text."""
+    failed = f"; {counted(failures, 'file')} could not be inverted" if failures else ""
+    return f"{counted(n_contacts, 'contact')} in {counted(n_groups, 'group')}{failed}"
+
+
 @dataclass
-class _Files:
-    """The picture and the table of limits of detection, as far as they are requested.
+class _Results:
+    """Results of complete recordings: picture and table of limits, if requested, and estimates.
 
     Attributes
     ----------
@@ -175,8 +181,10 @@ class _Files:
         Rows of the table.
     shown : EndsContacts or None
         Group of cycles to draw.
-    pending, candidate
-        Like `rows` and `shown`, of the recording in progress.
+    estimates : list of dict
+        Estimates of the sensor's parameters from each group of cycles.
+    pending, candidate, told
+        Like `rows`, `shown` and `estimates`, of the recording in progress.
     """
 
     library: Library
@@ -186,24 +194,30 @@ class _Files:
     shown: EndsContacts | None = None
     pending: list[list[object]] = field(default_factory=list)
     candidate: EndsContacts | None = None
+    estimates: list[dict[str, tuple[float, float]]] = field(default_factory=list)
+    told: list[dict[str, tuple[float, float]]] = field(default_factory=list)
 
     def add(self, path: Path, group: int, found: EndsContacts) -> None:
         """Add the results of a group of cycles, pending until its recording is complete."""
+        from acoustube.runs.sensor_check import estimates_of
         from acoustube.runs.two_ends import limit_rows
 
+        if group == 0:  # what a recording that failed has left is discarded
+            self._begin()
+        self.told.append(estimates_of(found.near))
         if self.limits is not None:
             self.pending += limit_rows(path, group, found, self.library)
         self.candidate = _preferred(self.candidate, found)
+
+    def _begin(self) -> None:
+        self.pending, self.candidate, self.told = [], None, []
 
     def keep(self) -> None:
         """Add the pending results of a complete recording to those kept."""
         self.rows += self.pending
         self.shown = _preferred(self.shown, self.candidate)
-        self.drop()
-
-    def drop(self) -> None:
-        """Discard the pending results of a recording."""
-        self.pending, self.candidate = [], None
+        self.estimates += self.told
+        self._begin()
 
     def contents(self) -> dict[Path, bytes | str]:
         """Return the contents of the requested files."""

@@ -84,10 +84,12 @@ class Inversion:
         between 1 and 2.
     residual_span : (float, float)
         First and last distance in m whose echoes arrive in that part.
-    temperature, gain, stretch, bore : Estimate
-        Difference of the air's temperature from the model's in K, logarithm of the gain relative to
-        the model's, relative change of the frequency at which the presses' scattering is taken, and
-        relative difference of the bore's diameter from the library's.
+    temperature, gain : Estimate
+        Difference of the air's temperature from the model's in K, and logarithm of the gain
+        relative to the model's.
+    resonance, quality_factor, stretch, bore : Estimate
+        Relative differences from the model: of the transducer's resonance and quality factor, of
+        the frequency at which the presses' scattering is taken, and of the bore's diameter.
     number : dict of float
         Probability of each number of presses that was tried.
     hypotheses : list of Hypothesis
@@ -111,6 +113,8 @@ class Inversion:
     residual_span: tuple[float, float]
     temperature: Estimate
     gain: Estimate
+    resonance: Estimate
+    quality_factor: Estimate
     stretch: Estimate
     bore: Estimate
     number: dict[int, float]
@@ -292,7 +296,8 @@ class Inverter:
             )
         nuisance = {
             name: posterior.estimate(2 * len(best.tools) + NUISANCES.index(name))
-            for name in ("temperature", "gain", "stretch", "bore")
+            for name in NUISANCES
+            if name != "phase"
         }
         measured, explained = self._echoes(best, builder)
         base, misfit = self.model.base, float("nan")

@@ -52,6 +52,17 @@ def _wavenumber(
 
 
 @compiled
+def _wavenumbers(
+    k: Complex, heat: Complex, transverse: Array, warmer: float, wider: float
+) -> tuple[Vector, Vector, Vector]:
+    """Return wavenumbers of three modes and their derivatives, as :func:`_wavenumber` does."""
+    k0, warm0, wide0 = _wavenumber(k[0], heat[0], transverse[0], warmer, wider)
+    k1, warm1, wide1 = _wavenumber(k[1], heat[1], transverse[1], warmer, wider)
+    k2, warm2, wide2 = _wavenumber(k[2], heat[2], transverse[2], warmer, wider)
+    return (k0, k1, k2), (warm0, warm1, warm2), (wide0, wide1, wide2)
+
+
+@compiled
 def _propagation(length: float, k: complex) -> complex:
     """Return exp(-j k L) for a wavenumber k in 1/m and a length L in m."""
     size, angle = np.exp(length * k.imag), length * k.real
@@ -115,16 +126,7 @@ def echoes(
     path = np.empty((p, 3), np.complex128)
     for a in range(n):
         for f in range(n_f):
-            k0, warm0, wide0 = _wavenumber(
-                k[f, 0], heat[f, 0], transverse[0], temperature[a], widening[a]
-            )
-            k1, warm1, wide1 = _wavenumber(
-                k[f, 1], heat[f, 1], transverse[1], temperature[a], widening[a]
-            )
-            k2, warm2, wide2 = _wavenumber(
-                k[f, 2], heat[f, 2], transverse[2], temperature[a], widening[a]
-            )
-            wave, warm, wide = (k0, k1, k2), (warm0, warm1, warm2), (wide0, wide1, wide2)
+            wave, warm, wide = _wavenumbers(k[f], heat[f], transverse, temperature[a], widening[a])
             for i in range(p):
                 for c in range(3):
                     path[i, c] = _propagation(lengths[a, i], wave[c])

@@ -7,7 +7,8 @@ Reading order for one press: `config` (settings, their checks, and in `config.si
 `selftest`. For many presses: `sweep`, `opening` (its files as one dataset) and `libraries`.
 
 For recordings: `recordings` (processing), `training` (features and errors), `sensor_file` and
-`wrap` (a sensor's file), `inversion`, `contact_table`, `two_ends`, `inverted_cycles` (labelled
-cycles), `live` and `live_contacts`. For a sensor's twin, the simulator fitted to it: `twin`,
-`twin_file`, `twin_pressed`, `twin_sessions`, `twin_calibration`. For a new sensor: `design`.
+`wrap` (a sensor's file), `inversion`, `contact_table`, `sensor_check` (stated parameters against
+the recordings), `two_ends`, `inverted_cycles` (labelled cycles), `live` and `live_contacts`. For a
+sensor's twin, the simulator fitted to it: `twin`, `twin_file`, `twin_pressed`, `twin_sessions`,
+`twin_calibration`. For a new sensor: `design`.
 """
