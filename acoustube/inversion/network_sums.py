@@ -47,8 +47,17 @@ def _wavenumber(
         return nominal, heat, 0j
     # k^2 + q^2 / (1 + b)^2 does not depend on the relative change b of the bore.
     ratio = 1 / (1 + wider)
-    found = np.sqrt(nominal * nominal + transverse**2 * (1 - ratio**2))
-    return found, heat * nominal / found, transverse**2 * ratio**3 / found
+    square = nominal * nominal + transverse**2 * (1 - ratio**2)
+    # By real square roots: those of complex numbers take several times as long.
+    size = np.sqrt(square.real**2 + square.imag**2)
+    if square.real > 0:
+        real = np.sqrt((size + square.real) / 2)
+        found = complex(real, square.imag / (2 * real))
+    else:
+        decay = -np.sqrt((size - square.real) / 2)
+        found = complex(square.imag / (2 * decay), decay)
+    inverse = found.conjugate() / size
+    return found, heat * nominal * inverse, transverse**2 * ratio**3 * inverse
 
 
 @compiled
