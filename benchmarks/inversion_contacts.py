@@ -36,6 +36,7 @@ from acoustube.runs import inversion, presses, scattering_file, sound
 from acoustube.runs.config import load_config
 from acoustube.runs.libraries.files import open_library
 from acoustube.runs.libraries.plan import tool_plans
+from acoustube.runs.sensor_check import NOTED, differing, estimates_of
 from acoustube.runs.two_ends import EndsInverter
 from acoustube.runs.wrap import wrap_of
 from acoustube.sleeve import design, windings, wrapped
@@ -49,7 +50,10 @@ COLUMNS = (
     "truth", "number", "cycles", "presses", *(f"true_{name}" for name, _, _ in QUANTITIES),
     "found", *(name + what for name, _, _ in QUANTITIES for what in TOLD), "n_contacts", "ghosts",
     "misfit", "residual", "mean_square", "error", "probability", "seconds", "peak_cm", "limit_mm",
+    *(name + what for name in NOTED for what in ("", "_sd")),
 )  # fmt: skip
+TOGETHER, DRAWN = 5, 200
+"""Number of recordings whose estimates of the sensor are combined, and number of such groups."""
 NEAR = 0.05
 """Largest distance in m between an estimated and a true press that counts as found."""
 PARTS = {
@@ -186,6 +190,7 @@ def rows(case, how, cycles, found, seconds, peak):
             matched[i] = min(near, key=lambda j: abs(given[j] - places[i]))
             free.remove(matched[i])
     limit = found.detection_limit(np.array(places))
+    sensor = estimates_of(found.near)
     for i in range(len(places)):
         row = {
             "truth": how, "number": number, "cycles": cycles, "presses": len(places),
@@ -195,6 +200,8 @@ def rows(case, how, cycles, found, seconds, peak):
             "seconds": f"{seconds:.3f}",
             "peak_cm": f"{100 * peak:.4f}", "limit_mm": f"{1e3 * limit[i]:.4f}",
         }  # fmt: skip
+        for name, (ratio, deviation) in sensor.items():
+            row |= {name: f"{ratio:.6f}", name + "_sd": f"{deviation:.6f}"}
         for (name, _, scale), values in zip(QUANTITIES, true, strict=True):
             row[f"true_{name}"] = f"{scale * values[i]:.6f}"
         if i in matched:
@@ -232,6 +239,28 @@ def summary(path):
                 print(f"  {name}: {'; '.join(in_words(part))}")
         if int(kind[2]) > 1:
             together(these)
+        parameters(these)
+
+
+def parameters(rows):
+    """Print how often the sensor's parameters are reported as differing from those stated.
+
+    They are estimated from single recordings, from random groups of recordings, and from all.
+    """
+    each = {
+        row["number"]: {n: (float(row[n]), float(row[n + "_sd"])) for n in NOTED if row.get(n)}
+        for row in rows
+    }
+    each, rng = [one for one in each.values() if one], np.random.default_rng(0)
+    few = min(TOGETHER, len(each))
+    groups = [rng.choice(len(each), few, replace=False) for _ in range(DRAWN)]
+    for size, some in ((1, [[i] for i in range(len(each))]), (few, groups)):
+        told = [one.name for group in some for one in differing([each[i] for i in group], Priors())]
+        for name in NOTED:
+            share = 100 * told.count(name) / max(len(some), 1)
+            print(f"  {name} reported from {size} of {len(each)} recordings in {share:.0f} %")
+    for one in differing(each, Priors()):
+        print(f"  {one.name} of all: {100 * one.ratio:.3f} % off, {100 * one.deviation:.3f} % (sd)")
 
 
 def together(rows):
@@ -353,7 +382,7 @@ def arguments():
         "true forces differ at random by as much",
     )
     parser.add_argument(
-        "--bore", type=float, default=1.0, help="told standard deviation of the bore, in per cent"
+        "--bore", type=float, default=0.5, help="told standard deviation of the bore, in per cent"
     )
     parser.add_argument(
         "--places", type=float, nargs=2, default=PLACES, help="range of a single press's place in m"
@@ -461,7 +490,7 @@ def main():
     if given.config is not None:
         words.append(given.config.stem)
     others = (
-        ("shore", 0.0, "Shore A"), ("modulus", 0.0, "% modulus"), ("bore", 1.0, "% bore"),
+        ("shore", 0.0, "Shore A"), ("modulus", 0.0, "% modulus"), ("bore", 0.5, "% bore"),
         ("loops", 9.0, "loops"), ("ends", 1, "ends"),
     )  # fmt: skip
     told = [(getattr(given, one), usual, unit) for one, usual, unit in others]

@@ -36,7 +36,7 @@ from acoustube.ranging import Burst, Rangefinder, record
 
 LENGTH, TUBE = 1.2, 7
 FOLDED = Rangefinder(sampling_rate=80e3)
-PRESS = np.array([0.6, 4e-3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+PRESS = np.array([0.6, 4e-3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def model_of(rangefinder, *, learned, **priors):
@@ -199,7 +199,7 @@ def test_other_depth_of_nearly_the_same_echo_is_found(depth):
     alike = dataclasses.replace(one, s=matrices(heard, FREQUENCY))
     base = baseband_of(Rangefinder(), RADIUS, LENGTH, 20.0, MODES)
     model = ForwardModel(Library((alike,)), base, None, Priors())
-    at = np.array([0.6, depth, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    at = np.array([0.6, depth, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     samples = model.baseband((0,), *split(at[None]))[0][0]
     whiten = weights(model, base.noise(1), 0.003, echo_of(model, (0,), at))
     known = maximise(model, (0,), at[None], samples, whiten)
@@ -223,25 +223,25 @@ def test_further_fits_are_judged_only_if_the_first_has_an_error(
     start[:, 0] += [0.0, 1e-4, -1e-4]
     alone, calls = Builder._alone, []
     monkeypatch.setattr(Builder, "_alone", lambda *words: calls.append(1) or alone(*words))
-    found = builder._fitted((0,), Fits(start, np.zeros(3), np.tile(np.eye(8), (3, 1, 1))))
+    found = builder._fitted((0,), Fits(start, np.zeros(3), np.tile(np.eye(9), (3, 1, 1))))
     assert len(calls) == judged
     assert found.best[0] == pytest.approx(0.6, abs=5e-3)
 
 
 def test_half_wavelengths_are_tried_about_other_depths_one_press_at_a_time(model, monkeypatch):
-    at = np.array([0.6, 4e-3, 1.0, 5e-3, 0, 0, 0, 0, 0, 0])
-    known = Fits(at[None], np.zeros(1), np.eye(10)[None])
+    at = np.array([0.6, 4e-3, 1.0, 5e-3, 0, 0, 0, 0, 0, 0, 0])
+    known = Fits(at[None], np.zeros(1), np.eye(11)[None])
     other, unlikely = at.copy(), at.copy()
     other[3] -= 1e-3
     unlikely[1] += 1e-3
-    sharp = np.tile(1e12 * np.eye(10), (2, 1, 1))
+    sharp = np.tile(1e12 * np.eye(11), (2, 1, 1))
     others = Fits(np.array([other, unlikely]), np.array([1.0, 9.0]), sharp)
     tried = []
 
     def maximise(*words):
         start = words[2]
         tried.append(start)
-        return Fits(start, np.zeros(len(start)), np.zeros((len(start), 10, 10)))
+        return Fits(start, np.zeros(len(start)), np.zeros((len(start), 11, 11)))
 
     monkeypatch.setattr(other_maxima, "maximise", maximise)
     found = other_maxima.beside(model, known, (0, 0), others, np.zeros(1), None)
@@ -255,7 +255,7 @@ def test_half_wavelengths_are_tried_about_other_depths_one_press_at_a_time(model
 
 def test_several_sets_of_parameters_give_what_each_gives(model):
     """Value and Jacobian of two presses with learned clutter, at three places and temperatures."""
-    at = np.tile([0.5, 4e-3, 0.9, 5e-3, 0.1, 0.02, -0.03, 1e-3, 0.01, 1e-3], (3, 1))
+    at = np.tile([0.5, 4e-3, 0.9, 5e-3, 0.1, 0.02, -0.03, 1e-3, 0.01, 1e-3, 2e-3], (3, 1))
     at[:, [0, 2]] += [[0.0, 0.1], [0.03, 0.0], [0.2, 0.4]]
     at[:, 4] += [0.0, -0.3, 0.2]
     together = model.baseband((0, 0), *split(at))
@@ -269,7 +269,7 @@ def test_starting_points_that_still_fall_have_the_known_maximum(model):
     whiten = weights(model, model.base.noise(1), 0.05, echo_of(model, (0,), PRESS))
     samples = model.baseband((0,), *split(PRESS[None]))[0][0]
     known = maximise(model, (0,), PRESS[None], samples, whiten)
-    start = PRESS[None] + np.array([0.0, 0.7e-3, 0, 0, 0, 0, 0, 0])
+    start = PRESS[None] + np.array([0.0, 0.7e-3, 0, 0, 0, 0, 0, 0, 0])
     early = maximise(model, (0,), start, samples, whiten, 1)
     assert early.cost[0] > known.cost[0] + 1
     assert abs(early.parameters[0, 1] - start[0, 1]) > 0.1e-3
@@ -461,7 +461,7 @@ def test_a_press_is_credited_beyond_an_error_of_the_model_that_is_small_with_it(
 
 
 def hypothesis(number, deviance, error):
-    fits = Fits(np.zeros((1, 2 * number + 6)), np.zeros(1), np.eye(2 * number + 6)[None])
+    fits = Fits(np.zeros((1, 2 * number + 7)), np.zeros(1), np.eye(2 * number + 7)[None])
     return Hypothesis((0,) * number, fits, error, None, deviance, 1.0)
 
 

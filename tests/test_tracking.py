@@ -113,7 +113,7 @@ def test_update_from_a_wide_prior_is_the_maximum_likelihood(model):
     )
     found = updated(model, prior, samples, whiten, iterations=20)
     scale = 1 / np.sqrt(np.diag(known.information[0]))
-    off = (found.branches.mean[0, :8] - known.parameters[0]) / scale
+    off = (found.branches.mean[0, :9] - known.parameters[0]) / scale
     # Both stop when the cost falls by less than 0.1.
     assert np.abs(off[:2]).max() < 0.3
     covariance = np.linalg.inv(known.information[0])
@@ -134,7 +134,7 @@ def test_prediction_keeps_the_stationary_distribution(model):
     for found in (once, twice):
         variance = np.diag(found.covariance[0])
         assert np.sqrt(variance[-2:]) == pytest.approx(deviations[2:], rel=1e-9)
-        assert np.sqrt(variance[2:8]) == pytest.approx(priors.deviations, rel=1e-9)
+        assert np.sqrt(variance[2:9]) == pytest.approx(priors.deviations, rel=1e-9)
         assert np.linalg.eigvalsh(found.covariance[0]).min() > 0
     # Two halves make the whole.
     assert once.covariance[0] == pytest.approx(twice.covariance[0], rel=1e-9, abs=1e-15)
@@ -159,8 +159,8 @@ def test_noise_of_a_position_is_that_of_the_velocitys_process(model, x):
 
 def test_contact_that_is_added_and_taken_away_leaves_the_others():
     rng = np.random.default_rng(0)
-    root = rng.normal(size=(1, 14, 14))
-    start = Branches((0, 1), rng.normal(size=(1, 14)), root @ root.swapaxes(1, 2), np.zeros(1))
+    root = rng.normal(size=(1, 15, 15))
+    start = Branches((0, 1), rng.normal(size=(1, 15)), root @ root.swapaxes(1, 2), np.zeros(1))
     more = start.added(1, 2, np.array([0.4, 0.5]), np.array([1e-3, 2e-3]), np.ones(4))
     assert more.tools == (0, 2, 1)
     assert more.mean[:, 2:4] == pytest.approx(np.array([[0.4, 1e-3], [0.5, 2e-3]]))

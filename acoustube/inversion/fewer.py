@@ -49,9 +49,8 @@ def refitted(model: ForwardModel, fewer: Branches, samples: Complex, whiten: Wei
     contact = np.arange(m)
     mean[1 + contact, 2 * contact] -= model.base.half_wavelength
     mean[1 + m + contact, 2 * contact] += model.base.half_wavelength
-    wide = np.repeat(widened(fewer, model.priors), 1 + 2 * m, axis=0)
-    level = np.append(0.0, np.full(2 * m, UNUSUAL))
-    start = Branches(fewer.tools, mean, wide, level)
+    start = restarted(fewer, mean, model.priors)
+    start = replace(start, level=np.append(0.0, np.full(2 * m, UNUSUAL)))
     return updated(model, start, samples, whiten, iterations=ITERATIONS[0])
 
 
@@ -63,22 +62,29 @@ def log_ratio(found: Update, fewer: Update, whiten: Weights) -> float:
     return float(without - with_all)
 
 
-def widened(branches: Branches, priors: Priors) -> Array:
-    """Return the best branch's covariance (1, p, p), widened so as to reach another maximum.
+def restarted(branches: Branches, mean: Array, priors: Priors) -> Branches:
+    """Return branches from which other maxima can be reached.
 
-    The variances of `WIDER` are added to positions and depths, and the prior variances to the
-    nuisance parameters, which a misplaced contact has biased.
+    The covariance is that of the best branch, with the variances of `WIDER` added to positions and
+    depths. The nuisance parameters, which a misplaced contact has biased, have the distribution of
+    their priors again. If they kept their means, misplaced contacts would bias them farther each
+    time, and then fit better than those in the right places.
 
     Parameters
     ----------
     branches : Branches
+    mean : ndarray
+        Means of contacts and velocities, (n, n_state); those of nuisance parameters are not used.
     priors : Priors
     """
-    wide = branches.covariance[:1].copy()
-    added = np.concatenate([np.tile(WIDER, len(branches.tools)), priors.deviations])
-    diagonal = np.arange(branches.parameters)
-    wide[:, diagonal, diagonal] += added**2
-    return wide
+    m, p = 2 * len(branches.tools), branches.parameters
+    mean, wide = mean.copy(), branches.covariance[:1].copy()
+    contact, own = np.arange(m), np.arange(m, p)
+    wide[:, contact, contact] += np.tile(WIDER, m // 2) ** 2
+    mean[:, own], wide[:, own], wide[:, :, own] = 0.0, 0.0, 0.0
+    wide[:, own, own] = priors.deviations**2
+    n = len(mean)
+    return Branches(branches.tools, mean, np.repeat(wide, n, axis=0), np.zeros(n))
 
 
 def one_for_two(
@@ -112,9 +118,9 @@ def one_for_two(
     if first + 2 < len(places):
         high = min(high, places[first + 2] - CLOSEST)
     others = best.without(first + 1).without(first)
-    others = replace(others, covariance=widened(others, model.priors))
     value, _ = model.baseband(others.tools, *split(others.mean[:, : others.parameters]))
     fronts, _, warm = fronts_of(model, others)
+    others = restarted(others, others.mean[:1], model.priors)
     found = []
     for tool in sorted({*best.tools[first : first + 2]}):
         given = proposals[tool].search(

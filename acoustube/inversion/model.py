@@ -26,6 +26,8 @@ from acoustube.waves.scattering import Complex
 
 NUISANCES = "temperature", "gain", "phase", "resonance", "quality_factor", "stretch", "bore"
 """Names of the nuisance parameters, in their order in parameter vectors after places and depths."""
+DRIFTING = "temperature", "gain", "phase"
+"""Those of them that drift; the others are constants of the sensor and the tube."""
 SAME_BORE = 0.005
 """Largest allowed relative difference of the bores of library and baseband."""
 LEAST = 1e-9
@@ -47,7 +49,7 @@ class Priors:
     phase : float
         Phase of the gain in rad. Default 0.05.
     resonance, quality_factor : float
-        Relative deviations of the transducer's parameters. Defaults 0.005 and 0.03.
+        Relative deviations of the transducer's parameters. Defaults 0.003 and 0.03.
     stretch : float
         Relative change of the frequency at which the presses' scattering is evaluated, for errors
         of the solver. Default 0.002.
@@ -66,7 +68,7 @@ class Priors:
     bore : float
         Relative deviation of the bore's diameter from that of the library. A press of a wider bore
         has, at higher frequencies, the echo of a press that is shallower in proportion, and modes
-        other than the plane wave propagate faster along the tube. Default 0.01; 0 for a bore that
+        other than the plane wave propagate faster along the tube. Default 0.005; 0 for a bore that
         is known.
     length : float
         Deviation of the tube's length in m, used with a rangefinder at each end. Default 2 mm.
@@ -84,14 +86,14 @@ class Priors:
     temperature: float = 0.3
     gain: float = 0.05
     phase: float = 0.05
-    resonance: float = 5e-3
+    resonance: float = 3e-3
     quality_factor: float = 0.03
     stretch: float = 2e-3
     losses: float = 4e-4
     thermometer: float = 0.1
     place: float = 0.03e-3
     depth: float = 0.018e-3
-    bore: float = 0.01
+    bore: float = 0.005
     length: float = 2e-3
     modulus: float = 0.0
 

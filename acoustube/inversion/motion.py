@@ -2,8 +2,7 @@
 
 The state vector of m contacts has 4 m + 7 components: position and depth of each contact in turn,
 the seven nuisance parameters, and the velocities of position and of depth of each contact in turn.
-Its distribution is a mixture of normal distributions, the branches, which all have the same
-contacts with the same tools.
+Its distribution is a mixture of normal distributions, the branches, all of the same contacts.
 
 References
 ----------
@@ -26,7 +25,7 @@ from numpy.typing import NDArray
 from acoustube.base.checks import check_fields
 from acoustube.base.rules import Number
 from acoustube.base.types import Array
-from acoustube.inversion.model import NUISANCES, ForwardModel, Priors
+from acoustube.inversion.model import DRIFTING, NUISANCES, ForwardModel, Priors
 from acoustube.inversion.parameters import LARGEST_STEPS, bounded, split
 from acoustube.inversion.whitening import Weights
 from acoustube.waves.scattering import Complex
@@ -41,7 +40,7 @@ cost is minus twice the logarithm of the posterior density, up to a constant."""
 LOST = 60.0
 """Excess of a branch's cost over the least above which it gets no more than two iterations."""
 DISTINCT = 0.5e-3, 0.05e-3
-"""Differences of position and depth in m: branches whose contacts all differ by less are one."""
+"""Differences of position and depth in m: branches whose contacts differ by less are one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,8 +54,9 @@ class Motion:
         the velocity of its depth. Defaults 0.03 and 0.015.
     memory : float
         Correlation time of both velocities in s. Default 0.4.
-    drift : float
-        Correlation time of the nuisance parameters in s. Default 30.
+    drift, ageing : float
+        Correlation times in s of temperature, gain and phase, and of the other nuisance parameters,
+        which are those of sensor and tube. Defaults 30 and 1200.
     survival : float
         Prior probability that a contact is still present when tested next. Default 0.9.
 
@@ -70,6 +70,7 @@ class Motion:
     sink: float = 0.015
     memory: float = 0.4
     drift: float = 30.0
+    ageing: float = 1200.0
     survival: float = 0.9
 
     def __post_init__(self) -> None:
@@ -77,7 +78,7 @@ class Motion:
         positive = Number(1e-9, 1e6)
         check_fields(
             self, slide=positive, sink=positive, memory=positive, drift=positive,
-            survival=Number(1e-6, 1),
+            ageing=positive, survival=Number(1e-6, 1),
         )  # fmt: skip
 
 
@@ -188,7 +189,8 @@ def predicted(branches: Branches, motion: Motion, priors: Priors, step: float) -
     q = p + 2 * m
     place, speed, own = np.arange(2 * m), np.arange(p, q), np.arange(2 * m, p)
     x = step / motion.memory
-    kept, passed, slow = np.exp(-x), -np.expm1(-x), np.exp(-step / motion.drift)
+    kept, passed = np.exp(-x), -np.expm1(-x)
+    slow = np.exp(-step / np.where(np.isin(NUISANCES, DRIFTING), motion.drift, motion.ageing))
     change = np.eye(q)
     change[place, speed], change[speed, speed] = motion.memory * passed, kept
     change[own, own] = slow

@@ -24,7 +24,7 @@ from acoustube.inversion.births import (
     with_shifts,
 )
 from acoustube.inversion.cycle import Cycle, Known
-from acoustube.inversion.fewer import UNUSUAL, log_ratio, one_for_two, refitted, widened
+from acoustube.inversion.fewer import UNUSUAL, log_ratio, one_for_two, refitted, restarted
 from acoustube.inversion.goodness import MISFIT, unexplained
 from acoustube.inversion.likelihood import Echo, echo_from, weights
 from acoustube.inversion.model import ForwardModel
@@ -331,8 +331,7 @@ class Track:
             joint = np.repeat(best.mean[:1], n, axis=0)
             joint[:, : 2 * len(self.known) : 2] += moves[:, :1] * self.model.base.half_wavelength
             mean = np.concatenate([mean, joint])
-        wide = np.repeat(widened(prior, self.model.priors), len(mean), axis=0)
-        start = Branches(best.tools, mean, wide, np.zeros(len(mean)))
+        start = restarted(prior, mean, self.model.priors)
         return self._with_others(found, start, cycle, UNUSUAL if young else UNLIKELY)
 
     def _with_others(
