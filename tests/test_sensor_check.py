@@ -25,15 +25,15 @@ def with_prior(values, deviation, prior):
 def test_estimates_of_several_groups_are_combined_with_one_prior():
     """As by normal distributions: the mean of all measured values, drawn to zero once."""
     values = 7e-3 + np.array([-1.0, 2.0, 0.5, -0.3]) * 1e-3
-    given = [{"bore": one} for one in with_prior(values, 1.5e-3, 0.01)]
+    given = [{"bore": one} for one in with_prior(values, 1.5e-3, 0.005)]
     ((name, ratio, deviation),) = differing(given, Priors())
     precision = len(values) / 1.5e-3**2
     assert name == "bore"
-    assert deviation == pytest.approx((precision + 1e4) ** -0.5, rel=1e-9)
-    assert ratio == pytest.approx(values.mean() * precision / (precision + 1e4), rel=1e-9)
+    assert deviation == pytest.approx((precision + 4e4) ** -0.5, rel=1e-9)
+    assert ratio == pytest.approx(values.mean() * precision / (precision + 4e4), rel=1e-9)
     assert not differing(given[:1], Priors())  # four standard deviations
     assert not differing([*given, {}], Priors(bore=0.0))  # stated as known
-    small = [{"bore": one} for one in with_prior(values / 2, 1e-5, 0.01)]
+    small = [{"bore": one} for one in with_prior(values / 2, 1e-5, 0.005)]
     assert not differing(small, Priors())  # such as errors of the solvers cause
     assert not differing([], Priors())
 
