@@ -37,6 +37,7 @@ from acoustube.inversion.joints import Joined
 from acoustube.inversion.likelihood import deviance_of, echo_of, weights
 from acoustube.inversion.model_error import discrepancy, restricted_deviance
 from acoustube.inversion.network import Waves, echo
+from acoustube.inversion.parameters import bounded
 from acoustube.inversion.paths import StraightPath
 from acoustube.inversion.posterior import mixture
 from acoustube.inversion.proposals import PlaneFilter
@@ -360,6 +361,21 @@ def test_baseband_is_differentiated_at_the_ends_of_the_range_of_temperatures(tem
     assert relative == pytest.approx(0.5 / (temperature + 273.15), rel=4e-3)
     plane = own.k_by_temperature[:, 0] / own.k[:, 0]
     assert plane.real == pytest.approx(-relative, rel=0.02)
+
+
+@pytest.mark.parametrize("temperature", [-5.0, 45.0])
+def test_bore_varies_in_air_far_from_that_of_the_library(library, temperature):
+    """By 1.2 % at least; the tables are not extrapolated, and a known bore stays known."""
+    own = Baseband(Rangefinder(), RADIUS, 2.5, temperature, MODES)
+    for priors, widest in ((Priors(bore=0.02), 0.012), (Priors(bore=0.0), 0.0)):
+        model = ForwardModel(library, own, None, priors)
+        for bore in (-0.1, 0.1):
+            far = np.array([0.6, 4e-3, *np.zeros(6), bore])[None]
+            clipped = bounded(model, (0,), far)[0, -1]
+            assert np.sign(bore) * clipped >= widest
+            assert widest or abs(clipped) < 1e-8
+            low, high = model.stretches
+            assert low <= clipped <= high
 
 
 def test_clutter_is_constant_beyond_the_temperatures_of_its_table(model):

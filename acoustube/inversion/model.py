@@ -27,7 +27,8 @@ from acoustube.waves.scattering import Complex
 NUISANCES = "temperature", "gain", "phase", "resonance", "quality_factor", "stretch", "bore"
 """Names of the nuisance parameters, in their order in parameter vectors after places and depths."""
 DRIFTING = "temperature", "gain", "phase"
-"""Those of them that drift; the others are constants of the sensor and the tube."""
+"""Those of them that drift. The others are constants of the sensor and the tube, and the stretch,
+which stands for errors of the solver, changes little with the press."""
 SAME_BORE = 0.005
 """Largest allowed relative difference of the bores of library and baseband."""
 LEAST = 1e-9

@@ -56,7 +56,7 @@ class Motion:
         Correlation time of both velocities in s. Default 0.4.
     drift, ageing : float
         Correlation times in s of temperature, gain and phase, and of the other nuisance parameters,
-        which are those of sensor and tube. Defaults 30 and 1200.
+        of sensor, tube and solver. Defaults 30 and 1200.
     survival : float
         Prior probability that a contact is still present when tested next. Default 0.9.
 

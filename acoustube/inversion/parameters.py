@@ -40,8 +40,9 @@ def bounded(model: ForwardModel, tools: tuple[int, ...], parameters: Array) -> A
     """Return a copy of parameter vectors within bounds, (n, 2 n_presses + 7).
 
     Places and depths are clipped to the ranges of the model, nuisances to six prior standard
-    deviations, and the bore also to the range of the tables. Then places are raised until
-    successive presses are :data:`CLOSEST` apart, if necessary beyond the far end of their range.
+    deviations, and the bore also to the range of the tables, but not away from 0. Then places are
+    raised until successive presses are :data:`CLOSEST` apart, if necessary beyond the far end of
+    their range.
     """
     places, depths, nuisances = split(np.array(parameters))
     for i, tool in enumerate(tools):
@@ -52,7 +53,7 @@ def bounded(model: ForwardModel, tools: tuple[int, ...], parameters: Array) -> A
     limit = 6 * model.priors.deviations
     nuisances = np.clip(nuisances, -limit, limit)
     low, high = (end - nuisances[:, -2] for end in model.stretches)
-    nuisances[:, -1] = np.clip(nuisances[:, -1], low, high)
+    nuisances[:, -1] = np.clip(nuisances[:, -1], np.minimum(low, 0.0), np.maximum(high, 0.0))
     return joined(places, depths, nuisances)
 
 

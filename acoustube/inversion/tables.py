@@ -27,8 +27,10 @@ from acoustube.waves.scattering import Complex
 
 FINER = 2
 """Ratio of the frequency step of a tool's scattering matrices to that of the splines."""
-WIDEST_STRETCH = 0.02
-"""Largest relative change of frequency (stretch) that the splines cover."""
+WIDEST_STRETCH = 0.06
+"""Largest relative change of frequency (stretch) that the splines cover, if the tool's frequencies
+do. Air 25 K from that of the library takes 0.045, and the bore and errors of the solver the rest.
+"""
 EARLIEST, DECAY, FAINTEST = -0.4e-3, 0.7e-3, 1e-7
 """Start in s of the impulse response of a press, relative to a reflection at its reference plane;
 decay time in s of its power; floor of its power, relative to the largest."""

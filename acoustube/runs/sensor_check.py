@@ -20,8 +20,8 @@ from acoustube.runs.inversion import Sensor
 
 NOTED = {"resonance": 2e-3, "bore": 5e-3}
 """Least relative deviations from the stated values that are reported, by parameter. With a sensor
-as stated, estimates from twenty cycles of a single press scatter by 0.002 and 0.003: errors of
-library and recordings act as such deviations too."""
+as stated, estimates from twenty cycles of a single press had standard deviations of 0.002 and
+0.003 about it: errors of library and recordings act as such deviations too."""
 DEVIATIONS = 4.0
 """Number of standard deviations of the combined estimate above which it is reported."""
 
@@ -45,12 +45,17 @@ class Differing(NamedTuple):
 def estimates_of(found: Inversion) -> dict[str, tuple[float, float]]:
     """Return estimates of the parameters of :data:`NOTED` and their standard deviations, by name.
 
-    None is returned for cycles without contacts or whose echo is not explained, nor that of the
-    bore of a wrapped tube, where the modes of the bend depend on it in other ways.
+    None is returned for cycles without contacts or whose echo is not explained. That of the bore is
+    left out for a wrapped tube, whose bends depend on it in other ways, and where no mode but the
+    plane wave propagates, so that errors of the solver look like another bore.
     """
     if not found.misfit <= MISFIT:  # nan without contacts
         return {}
-    names = [name for name in NOTED if name != "bore" or not found.model.path.converts]
+    model = found.model
+    shortest = 2 * np.pi * model.base.frequency[-1] / model.base.speed
+    higher = (model.transverse > 0) & (model.transverse < shortest)
+    known = bool(higher.any()) and not model.path.converts
+    names = [name for name in NOTED if name != "bore" or known]
     told = {name: getattr(found, name) for name in names}
     return {name: (one.value, one.deviation) for name, one in told.items()}
 
@@ -75,7 +80,8 @@ def differing(
         if not len(known) or deviation == 0:  # the bore may be stated as known
             continue
         precision, prior = known[:, 1] ** -2.0, deviation**-2.0
-        whole = np.sum(np.maximum(precision - prior, 0.0)) + prior
+        known, precision = known[precision > prior], precision[precision > prior]
+        whole = np.sum(precision - prior) + prior
         ratio, deviation = float(known[:, 0] @ precision / whole), float(whole**-0.5)
         if abs(ratio) > max(least, DEVIATIONS * deviation):
             found.append(Differing(name, ratio, deviation))
@@ -101,12 +107,12 @@ def _sentence(one: Differing, rangefinder: Rangefinder, library: Library) -> str
         bore = 2 * MM * library.radius
         return (
             f"the bore is {told} {'wider' if more else 'narrower'} than {bore:.4g} mm, that of the "
-            "library; depths are corrected for it. A library of the tube's own bore would have "
-            f"its forces and losses too: acoustube library --bore {bore * (1 + one.ratio):.4g}"
+            "library. Depths are corrected for it; forces are those of the library's bore. For a "
+            f"library of this bore: acoustube library --bore {bore * (1 + one.ratio):.4g}"
         )
     stated = getattr(rangefinder, one.name)
     return (
-        f"the transducer's {one.name} is {told} "
-        f"{'higher' if more else 'lower'} than the stated {stated:.6g}, which the contacts allow "
-        f"for; state {one.name} = {stated * (1 + one.ratio):.5g} in the file of the sensor"
+        f"the transducer's {one.name} is {told} {'higher' if more else 'lower'} than {stated:.6g} "
+        f"Hz, the value of the sensor; the estimates of contacts allow for it. State {one.name} = "
+        f"{stated * (1 + one.ratio):.5g} in the file of the sensor"
     )

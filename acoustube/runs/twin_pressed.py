@@ -163,9 +163,10 @@ def _inverter(
     tools: tuple[int, ...],
     free: Sequence[tuple[Path, xr.Dataset]],
 ) -> RecordingInverter:
+    # The bore is taken as the library's, so that depths belong to the library's forces.
     sensor = Sensor(
         rangefinder=rangefinder_of(found), length=tube_length(found),
-        priors=Priors(**deviations_of(found)),
+        priors=Priors(**deviations_of(found), bore=0.0),
     )  # fmt: skip
     return RecordingInverter(Library(tuple(known.tools[i] for i in tools)), sensor, free, most=1)
 
