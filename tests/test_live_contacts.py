@@ -104,9 +104,13 @@ def test_contacts_are_logged_and_shown_while_the_board_sends(folder, cycles, tmp
 
 @pytest.mark.slow
 def test_contact_on_a_sleeve_is_followed(folder, tmp_path):
-    """The echo has two to four counts: two half wavelengths in position, a tenth of the depth."""
+    """The echo has two to four counts: two half wavelengths in position, a tenth of the depth.
+
+    The bore and nearly the resonance are known.
+    """
     path = tmp_path / "sleeve.toml"
-    path.write_text(SENSOR.replace("200\n", "250\n") + WRAPPED)
+    known = "[priors]\nbore = 0\nresonance = 1e-3\n"
+    path.write_text(SENSOR.replace("200\n", "250\n") + known + WRAPPED)
     follower = Follower(Contacts(folder=folder / "lib", sensor=path, rest=0.5), 80e3, 2000, 20.0)
     found = None
     for first, placed, count in ((0, untouched(), 12), (12, wrapped_presses((5e-3, 0.5)), 5)):
