@@ -273,8 +273,7 @@ class Inverter:
         order = np.argsort(off.level)
         best = replace(best, fits=best.fits.at(order))
         chain = [*chain[:number], best, *chain[number + 1 :]]
-        off = Discrepancy(off.level[order], off.deviation[order])
-        posterior = Posterior(best, off)
+        posterior = Posterior(best, Discrepancy(off.level[order], off.deviation[order]))
         contacts = []
         for i, tool in enumerate(best.tools):
             place = best.best[2 * i]

@@ -112,20 +112,12 @@ class Priors:
         """Standard deviations of the nuisance parameters, in the order of :data:`NUISANCES`."""
         return np.array([max(getattr(self, name), LEAST) for name in NUISANCES])
 
-    def offsets(self, depths: Array) -> Array:
-        """Return the standard deviations of place and depth relative to the library's presses.
+    def offsets(self, n_presses: int) -> Array:
+        """Return the standard deviations in m of each press's place and depth, (2 n_presses,).
 
-        Parameters
-        ----------
-        depths : ndarray
-            Depths in m, (n, n_presses).
-
-        Returns
-        -------
-        ndarray
-            In m, for place and depth of each press in turn, (n, 2 n_presses).
+        They are those relative to the library's presses with the same echo.
         """
-        return np.tile([self.place, self.depth], depths.shape)
+        return np.tile([self.place, self.depth], n_presses)
 
     def force_deviation(self, tool: Tool, depths: Array) -> Array:
         """Return the standard deviation in N of a tool's force at depths in m, (n,)."""
@@ -241,7 +233,6 @@ class ForwardModel:
 
         (n, m), base = places.shape, self.base
         nuisances = np.ascontiguousarray(nuisances)  # views would be compiled for anew
-        temperature = nuisances[:, 0].copy()
         warming = self.stretch_by_temperature
         stretch = self.stretches_of(nuisances)
         found, matrices = self._echo(tools, places, depths, nuisances, stretch)
@@ -250,7 +241,7 @@ class ForwardModel:
         if self.clutter.behind is not None:
             passed = np.array([one.transmission() for one in matrices])
             at = np.concatenate([np.zeros((n, 1)), places], axis=1).ravel()
-            beyond = self.clutter.beyond(at, np.repeat(temperature, m + 1))
+            beyond = self.clutter.beyond(at, np.repeat(nuisances[:, 0], m + 1))
             beyond = beyond.reshape(3, n, m + 1, -1)
             add_clutter(value, slopes, beyond, passed, base.gain, warming)
         return value, slopes

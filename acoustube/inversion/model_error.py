@@ -94,7 +94,7 @@ def discrepancy(
         own = np.linalg.norm(known.whiten(value - before), axis=1)
         deviation[:, 2 * i : 2 * i + 2] = (error * own)[:, None] / slope[:, 2 * i : 2 * i + 2]
         value = before
-    return Discrepancy(level, np.hypot(deviation, model.priors.offsets(depths)))
+    return Discrepancy(level, np.hypot(deviation, model.priors.offsets(m)))
 
 
 def restricted_deviance(

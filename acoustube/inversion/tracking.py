@@ -213,7 +213,7 @@ class ContactTracker:
         m, p = len(best.tools), best.parameters
         covariance = best.covariance[:, :p, :p] + self._lasting(found)
         variance = np.einsum("nii->ni", covariance).copy()
-        variance[:, : 2 * m] += model.priors.offsets(split(best.mean[:, :p])[1]) ** 2
+        variance[:, : 2 * m] += model.priors.offsets(m) ** 2
 
         def told(parameter: int, error: float = 0.0) -> Estimate:
             deviation = np.sqrt(variance[:, parameter] + error**2)

@@ -130,11 +130,10 @@ def _product(
         return best, True
     # The error of the model in depth is the same from both ends, and that of the force.
     tool, at = library.tools[one.tool], np.array([one.depth.value])
-    shared = float(priors.offsets(at[None])[0, 1])
-    by_depth = tool.force_at(at, 1) * shared
+    by_depth = tool.force_at(at, 1) * priors.depth
     force_shared = float(np.hypot(by_depth, priors.force_deviation(tool, at))[0])
     place, place_spread, place_off, place_weight = _combined(one.distance, other.distance, 0.0)
-    depth, depth_spread, depth_off, depth_weight = _combined(one.depth, other.depth, shared)
+    depth, depth_spread, depth_off, depth_weight = _combined(one.depth, other.depth, priors.depth)
     if np.min(place_off + depth_off) > CONTRADICTION:
         return best, False
     prior = np.outer(one.distance.weights, other.distance.weights).ravel()

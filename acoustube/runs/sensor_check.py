@@ -45,15 +45,15 @@ class Differing(NamedTuple):
 def estimates_of(found: Inversion) -> dict[str, tuple[float, float]]:
     """Return estimates of the parameters of :data:`NOTED` and their standard deviations, by name.
 
-    None is returned for cycles without contacts or whose echo is not explained. That of the bore is
+    There are none for cycles without contacts or whose echo is not explained. That of the bore is
     left out for a wrapped tube, whose bends depend on it in other ways, and where no mode but the
     plane wave propagates, so that errors of the solver look like another bore.
     """
     if not found.misfit <= MISFIT:  # nan without contacts
         return {}
     model = found.model
-    shortest = 2 * np.pi * model.base.frequency[-1] / model.base.speed
-    higher = (model.transverse > 0) & (model.transverse < shortest)
+    largest = 2 * np.pi * model.base.frequency[-1] / model.base.speed
+    higher = (model.transverse > 0) & (model.transverse < largest)  # propagating in the band
     known = bool(higher.any()) and not model.path.converts
     names = [name for name in NOTED if name != "bore" or known]
     told = {name: getattr(found, name) for name in names}
@@ -76,10 +76,10 @@ def differing(
     found = []
     for name, least in NOTED.items():
         known = np.array([one[name] for one in estimates if name in one])
-        deviation = getattr(priors, name)
-        if not len(known) or deviation == 0:  # the bore may be stated as known
+        spread = getattr(priors, name)
+        if not len(known) or spread == 0:  # the bore may be stated as known
             continue
-        precision, prior = known[:, 1] ** -2.0, deviation**-2.0
+        precision, prior = known[:, 1] ** -2.0, spread**-2.0
         known, precision = known[precision > prior], precision[precision > prior]
         whole = np.sum(precision - prior) + prior
         ratio, deviation = float(known[:, 0] @ precision / whole), float(whole**-0.5)
